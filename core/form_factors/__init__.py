@@ -1,0 +1,1 @@
+"""Form factors: which share of the power leaving one patch reaches another. One module a technique."""

@@ -111,86 +111,97 @@ def _block_factors(points, normals, corners, plane, size, two_sided):
 
 def _facing_factors(points, normals, corners, axis, heights, size):
     """Factors (n,) of points off the polygon's plane, sorted by what their horizon does to the polygon."""
-    rays = [corners[:, i, None] - points[i] for i in range(3)]  # x, y, z of point to corner, each (k, n)
-    elevations = rays[0] * normals[0] + rays[1] * normals[1] + rays[2] * normals[2]
-    squares = rays[0] * rays[0] + rays[1] * rays[1] + rays[2] * rays[2]
+    # The first corner comes again at the end, so that an edge's two ends are views and not copies.
+    loop = np.concatenate((corners, corners[:1]))
+    rays = [loop[:, i, None] - points[i] for i in range(3)]  # x, y, z of point to corner, each (k + 1, n)
+    elevations = _dot(rays, normals)
     lowest, highest = elevations.min(axis=0), elevations.max(axis=0)
-    dip = HORIZON_TOLERANCE * np.sqrt(squares[0])
-    clipped = (lowest < -dip) & (highest > 0)
-    whole = ~clipped & (highest > 0)
-    far = squares[0] > (FAR_DISTANCE * size) ** 2
-    near = whole & ~far
-    if near.all():
-        return np.minimum(_contour(rays, normals, corners) * np.sign(heights), 1).clip(min=0)
+    distances = np.sqrt(rays[0][0] ** 2 + rays[1][0] ** 2 + rays[2][0] ** 2)
+    above = highest > 0
+    clipped = above & (lowest < -HORIZON_TOLERANCE * distances)
+    whole = above & ~clipped
+    far = distances > FAR_DISTANCE * size
+    if (whole & ~far).all():
+        return (_contour(rays, normals, loop) * np.sign(heights)).clip(0, 1)
     factors = np.zeros(len(heights))
-    for chosen, kernel in ((near, _contour), (clipped, _clipped_contour)):
+    for chosen, kernel in ((whole & ~far, _contour), (clipped, _clipped_contour)):
         rows = np.flatnonzero(chosen)
         if len(rows):
-            part = [r[:, rows] for r in rays]
-            factors[rows] = kernel(part, normals[:, rows], corners) * np.sign(heights[rows])
+            factors[rows] = kernel([r[:, rows] for r in rays], normals[:, rows], loop) * np.sign(heights[rows])
     rows = np.flatnonzero(whole & far)
     if len(rows):
         factors[rows] = _quadrature(points[:, rows], normals[:, rows], corners, axis)
     return factors.clip(0, 1)
 
 
-def _edge_crosses(rays, edges):
-    """Cross products x, y, z, each (k, n), of the ray to an edge's start with the edge (3 columns of (k, 1))."""
-    x, y, z = rays
-    return y * edges[2] - z * edges[1], z * edges[0] - x * edges[2], x * edges[1] - y * edges[0]
+def _dot(left, right):
+    """Dot products of vectors given as three arrays each."""
+    total = left[0] * right[0]
+    total += left[1] * right[1]
+    total += left[2] * right[2]
+    return total
 
 
-def _sum_edges(crosses, normals, sines, cosines):
-    """Sum (n,) over edges of angle times the cross product's direction along the normal, over 2 pi.
+def _cross(left, right):
+    """Cross products, as three arrays, of vectors given as three arrays each."""
+    result = []
+    for i, j in ((1, 2), (2, 0), (0, 1)):
+        component = left[i] * right[j]
+        component -= left[j] * right[i]
+        result.append(component)
+    return result
 
-    `sines` (k, n) are the lengths of `crosses`, `cosines` (k, n) the dot products, scaled alike.
+
+def _sum_edges(crosses, normals, shares, cosines):
+    """Sum (n,) over edges of angle times the direction of the edge's normal along the receiver's, over 2 pi.
+
+    `crosses` are ray to start of edge cross edge, `shares` (k, n) the part of the edge that counts, `cosines` (k, n)
+    the dot products of the rays to the ends of that part.
     """
-    along = crosses[0] * normals[0]
-    along += crosses[1] * normals[1]
-    along += crosses[2] * normals[2]
-    lengths = np.sqrt(crosses[0] ** 2 + crosses[1] ** 2 + crosses[2] ** 2)
+    along = _dot(crosses, normals)
+    lengths = np.sqrt(_dot(crosses, crosses))
     # A point in line with an edge sees it under no angle: 0 instead of 0 / 0.
     lengths[lengths == 0] = 1
-    angles = np.arctan2(lengths if sines is None else sines * lengths, cosines)
+    # The arc tangent of a quotient is half the price of the one of two arguments. A quotient over zero is a right
+    # angle, as it should be; an obtuse angle comes out negative, by half a turn.
+    with np.errstate(divide='ignore', over='ignore'):
+        angles = np.arctan((lengths if shares is None else lengths * shares) / cosines)
+    angles += np.pi * (angles < 0)
     angles *= along
     angles /= lengths
     # Corners run clockwise as seen from a point at the front.
     return angles.sum(axis=0) / (-2 * np.pi)
 
 
-def _contour(rays, normals, corners):
+def _contour(rays, normals, loop):
     """Contour sum (n,) for polygons wholly above the horizon."""
-    edges = (np.roll(corners, -1, axis=0) - corners).T[:, :, None]
-    crosses = _edge_crosses(rays, edges)
-    cosines = rays[0] * np.roll(rays[0], -1, axis=0)
-    cosines += rays[1] * np.roll(rays[1], -1, axis=0)
-    cosines += rays[2] * np.roll(rays[2], -1, axis=0)
-    return _sum_edges(crosses, normals, None, cosines)
+    starts, ends = [r[:-1] for r in rays], [r[1:] for r in rays]
+    edges = np.diff(loop, axis=0).T[:, :, None]
+    return _sum_edges(_cross(starts, edges), normals, None, _dot(starts, ends))
 
 
-def _clipped_contour(rays, normals, corners):
+def _clipped_contour(rays, normals, loop):
     """Contour sum (n,) for polygons that cross the horizon: edges shortened, closed along the horizon."""
-    edges = (np.roll(corners, -1, axis=0) - corners).T[:, :, None]
-    starts = rays[0] * normals[0] + rays[1] * normals[1] + rays[2] * normals[2]
-    ends = np.roll(starts, -1, axis=0)
-    rising, falling = (starts < 0) & (ends >= 0), (starts >= 0) & (ends < 0)
-    drop = np.where(rising | falling, starts - ends, 1)
-    crossing = np.where(rising | falling, starts / drop, 0).clip(0, 1)
+    edges = np.diff(loop, axis=0).T[:, :, None]
+    elevations = _dot(rays, normals)
+    here, there = elevations[:-1], elevations[1:]
+    rising, falling = (here < 0) & (there >= 0), (here >= 0) & (there < 0)
+    crossing = np.where(rising | falling, here, 0) / np.where(rising | falling, here - there, 1)
     first = np.where(rising, crossing, 0)
-    last = np.where(falling, crossing, np.where((starts < 0) & (ends < 0), 0, 1))
-    crosses = _edge_crosses(rays, edges)
-    cosines = sum((r + first * e) * (r + last * e) for r, e in zip(rays, edges, strict=True))
-    total = _sum_edges(crosses, normals, last - first, cosines)
+    last = np.where(falling, crossing, np.where((here < 0) & (there < 0), 0, 1))
+    starts = [r[:-1] for r in rays]
+    cosines = _dot(*([r + share * e for r, e in zip(starts, edges, strict=True)] for share in (first, last)))
+    # Edges below the horizon have no extent; a cosine of zero would make that 0 / 0.
+    cosines[last == first] = 1
+    total = _sum_edges(_cross(starts, edges), normals, last - first, cosines)
     # The line on which all crossings lie, seen from the point: azimuths are counted from its nearest point, so they
     # stay within a quarter turn and can be added in any order.
-    vector_area = np.cross(corners[1:-1], corners[2:]).sum(axis=0)
-    level = vector_area[:, None] - (vector_area @ normals) * normals
-    level *= np.sign(sum(r[0] * a for r, a in zip(rays, vector_area, strict=True)))
-    along = np.cross(normals, level, axis=0)
-    hits = [r + crossing * e for r, e in zip(rays, edges, strict=True)]
-    azimuths = np.arctan2(
-        sum(h * a for h, a in zip(hits, along, strict=True)), sum(h * a for h, a in zip(hits, level, strict=True))
-    )
+    axis = np.cross(loop[1:-2], loop[2:-1]).sum(axis=0)
+    level = axis[:, None] - (axis @ normals) * normals
+    level *= np.sign(_dot([r[0] for r in rays], axis))
+    along = _cross(normals, level)
+    hits = [r + crossing * e for r, e in zip(starts, edges, strict=True)]
+    azimuths = np.arctan2(_dot(hits, along), _dot(hits, level))
     closing = np.where(rising, azimuths, 0) - np.where(falling, azimuths, 0)
     return total - closing.sum(axis=0) / (2 * np.pi)
 
@@ -203,7 +214,5 @@ def _quadrature(points, normals, corners, axis):
     samples = np.concatenate((second / 2, third / 2, (second + third) / 2))
     weights = np.tile(areas / 3, 3)
     rays = [samples[:, i, None] - points[i] for i in range(3)]
-    squares = rays[0] ** 2 + rays[1] ** 2 + rays[2] ** 2
-    here = sum(r * n for r, n in zip(rays, normals, strict=True))
-    there = np.abs(sum(r * a for r, a in zip(rays, axis, strict=True)))
+    squares, here, there = _dot(rays, rays), _dot(rays, normals), np.abs(_dot(rays, axis))
     return (weights[:, None] * (here * there / (np.pi * squares * squares))).sum(axis=0)

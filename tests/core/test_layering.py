@@ -61,7 +61,7 @@ def imported(root: Path, module: Path) -> list[tuple[int, str, Path | None]]:
                 candidates = (
                     (base / alias.name).with_suffix(".py"),
                     base / alias.name / "__init__.py",
-                    base.with_suffix(".py"),
+                    base.parent / f"{base.name}.py",
                 )
                 target = next((path for path in candidates if (root / path).exists()), base / "__init__.py")
                 found.append((node.lineno, f"{'.' * node.level}{node.module or ''}:{alias.name}", target))

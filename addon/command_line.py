@@ -1,0 +1,344 @@
+"""`radiosity bake`: the bake without a window, for one file or hundreds.
+
+The same parser serves `python -m radiosity` (the bpy module) and `blender -b scene.blend --command radiosity` (the
+program). Arguments are checked before Blender is loaded and before the first file is opened. An option that is given
+replaces the setting stored in the file; one that is not leaves it.
+
+Exit status: 0 done, 1 a file failed, 2 bad arguments, 130 stopped by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NoReturn
+
+from ..core.errors import RadiosityError, SettingsError
+from ..core.settings import BAKE_TYPES, METHODS, QUALITY_ACCURACY, SOLVERS, BakeSettings
+
+DONE, FAILED, BAD_ARGUMENTS, INTERRUPTED = 0, 1, 2, 130
+
+_DESCRIPTION = "Bake diffuse interreflection into a color attribute of the meshes of a scene."
+_EPILOG = """\
+IN is a .blend, .gltf, .glb, .obj, .ply, .fbx or .usd* file; with `blender -b FILE --command` it may be left out.
+At least one of --output, --report and --image says what is to be written; nothing else is. With several files
+they name folders, where each result gets the name of its file. Exit status: 0 done, 1 a file failed, 2 bad
+arguments, 130 stopped by Ctrl-C. A result appears complete or not at all."""
+
+# Options that are handed on: destination here -> name of the override in the bake's options.
+_OVERRIDES = {
+    "quality": "quality",
+    "accuracy": "accuracy",
+    "method": "method",
+    "solver": "solver",
+    "bake": "bake_type",
+    "attribute": "attribute_name",
+    "domain": "domain",
+    "type": "data_type",
+    "seed": "seed",
+    "threads": "threads",
+    "time_limit": "time_limit",
+    "world_strength": "world_strength",
+}
+_DATA_TYPES = {"float": "FLOAT_COLOR", "byte": "BYTE_COLOR"}
+_SUFFIXES = {"output": ".blend", "report": ".json", "image": ".png"}
+
+
+def _name(text: str) -> str:
+    """Names may be typed with hyphens or underscores, in upper or lower case."""
+    return text.strip().lower().replace("-", "_")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the list of all options."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_ARGUMENTS, f"{self.prog}: error: {message} (--help lists all options)\n")
+
+
+def build_parser(program: str, may_be_open: bool = False) -> argparse.ArgumentParser:
+    """The arguments; `may_be_open` says that a file may be open already, so that IN can be left out."""
+    parser = _Parser(prog=program, description=_DESCRIPTION, allow_abbrev=False)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    bake = commands.add_parser(
+        "bake",
+        help="bake scenes",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    bake.add_argument("inputs", metavar="IN", nargs="*" if may_be_open else "+", help="scene file")
+    bake.add_argument("--output", metavar="OUT.blend", help="save the baked scene here")
+    bake.add_argument("--report", metavar="R.json", help="save the report here")
+    bake.add_argument("--image", metavar="I.png", help="save a picture of the baked scene here")
+    error = bake.add_mutually_exclusive_group()
+    error.add_argument("--quality", type=_name, choices=tuple(QUALITY_ACCURACY), help="preset of the accuracy")
+    error.add_argument("--accuracy", type=float, metavar="A", help="relative error to aim for, 0.02 is 2 %%")
+    bake.add_argument("--method", type=_name, choices=METHODS, help="how the exchange of light is found")
+    bake.add_argument("--solver", type=_name, choices=SOLVERS, help="how the bounces are summed")
+    bake.add_argument("--attribute", metavar="NAME", help="color attribute to write")
+    bake.add_argument("--domain", type=_name, choices=("corner", "point"), help="where colors are stored")
+    bake.add_argument("--type", type=_name, choices=tuple(_DATA_TYPES), help="kind of number that stores colors")
+    bake.add_argument("--bake", type=_name, choices=BAKE_TYPES, help="which part of the light")
+    bake.add_argument("--world-strength", type=float, metavar="W", help="light with a white sky of this strength")
+    bake.add_argument("--seed", type=int, metavar="N", help="pattern of random numbers")
+    bake.add_argument("--threads", type=int, metavar="N", help="processor cores to use, 0 for all")
+    bake.add_argument("--time-limit", type=float, metavar="S", help="refine no further after S seconds")
+    bake.add_argument("--enable-scripts", action="store_true", help="let Python scripts inside a .blend run")
+    bake.add_argument("--verbose", action="store_true", help="show what Blender itself has to say")
+    return parser
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene and where its results go; without `source`, the file that is open."""
+
+    source: Path | None
+    output: Path | None
+    report: Path | None
+    image: Path | None
+
+    @property
+    def results(self) -> list[Path]:
+        return [path for path in (self.output, self.report, self.image) if path]
+
+
+def plan_tasks(arguments: argparse.Namespace, opened: Path | None) -> list[Task]:
+    """Where everything goes.
+
+    Raises
+    ------
+    ValueError
+        If names are missing, collide, or lie in a folder that does not exist.
+    """
+    sources = [Path(os.path.abspath(name)) for name in arguments.inputs]
+    if not sources and opened is None:
+        raise ValueError("name a scene file, or open one: blender -b scene.blend --command radiosity bake ...")
+    places = {kind: getattr(arguments, kind) for kind in _SUFFIXES}
+    if not any(places.values()):
+        raise ValueError("nothing to write: add --output OUT.blend, --report R.json or --image I.png")
+    tasks = []
+    for source in sources or [None]:
+        results = {
+            kind: _result_path(kind, place, (source or opened).stem, len(sources) > 1)
+            for kind, place in places.items()
+            if place
+        }
+        tasks.append(Task(source, *(results.get(kind) for kind in _SUFFIXES)))
+    _refuse_collisions(tasks, opened, arguments.output)
+    return tasks
+
+
+def _result_path(kind: str, place: str, stem: str, several: bool) -> Path:
+    suffix = _SUFFIXES[kind]
+    path = Path(os.path.abspath(place))
+    is_folder = path.is_dir() or place.endswith(("/", os.sep))
+    if several and not is_folder and path.suffix.lower() == suffix:
+        raise ValueError(f"--{kind} {place} names one file for several scenes: give a folder")
+    if several or is_folder:
+        path = path / f"{stem}{suffix}"
+        if path.parent.exists() and not path.parent.is_dir():
+            raise ValueError(f"--{kind} {place} is a file: give a folder")
+        folder = path.parent.parent  # the folder that is named is made, those above it are not
+    else:
+        if path.suffix.lower() != suffix:
+            raise ValueError(f"--{kind} {place} must end in {suffix}, or be a folder")
+        folder = path.parent
+    if not folder.is_dir():
+        raise ValueError(f"--{kind} {place}: there is no folder {folder}")
+    return path
+
+
+def _refuse_collisions(tasks: list[Task], opened: Path | None, named_output: str | None) -> None:
+    results = Counter(path for task in tasks for path in task.results)
+    twice = next((path for path, count in results.items() if count > 1), None)
+    if twice:
+        raise ValueError(f"two scenes would be written to {twice}: bake them into different folders")
+    for path in (task.source or opened for task in tasks):
+        # A file may be replaced by its baked self, but only where its own name was typed.
+        if path in results and path != Path(os.path.abspath(named_output)):
+            raise ValueError(f"{path} would be overwritten: name another folder for --output")
+
+
+def overrides(arguments: argparse.Namespace) -> dict[str, object]:
+    """Settings that were given, by the names and in the values of the bake's options.
+
+    Raises
+    ------
+    SettingsError
+        If a value is outside its range.
+    """
+    given = {new: getattr(arguments, old) for old, new in _OVERRIDES.items() if getattr(arguments, old) is not None}
+    BakeSettings(**{name: value for name, value in given.items() if name in BakeSettings.__dataclass_fields__})
+    if not 0 <= given.get("world_strength", 0.0) < float("inf"):
+        raise SettingsError(f"World strength must be 0 or more, not {given['world_strength']:g}")
+    if not given.get("attribute_name", "x").strip():
+        raise SettingsError("The attribute needs a name")
+    if "data_type" in given:
+        given["data_type"] = _DATA_TYPES[given["data_type"]]
+    if "accuracy" in given:
+        given["quality"] = "custom"
+    enums = ("quality", "method", "solver", "bake_type", "domain")
+    return {name: value.upper() if name in enums else value for name, value in given.items()}
+
+
+def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path | None = None) -> int:
+    """Run the command and return its exit status.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Arguments after the program's name.
+    program : str
+        How the command was called, for usage texts.
+    opened : Path or None
+        The scene file that Blender has open, which is baked when no other is named.
+    """
+    parser = build_parser(program, may_be_open=opened is not None)
+    try:
+        arguments = parser.parse_args(argv)
+        try:
+            tasks = plan_tasks(arguments, opened)
+            given = overrides(arguments)
+        except (ValueError, SettingsError) as error:
+            parser.error(str(error))
+    except SystemExit as end:  # argparse's own way out, for --help and for errors; inside Blender it must not end all
+        return end.code if isinstance(end.code, int) else BAD_ARGUMENTS
+
+    from .adapters.console import own_output  # after the checks: Blender takes a second to load
+
+    with own_output(arguments.verbose) as stream, _registered(), _interruptible():
+        try:
+            return _run(tasks, given, arguments.enable_scripts, stream)
+        except KeyboardInterrupt:
+            sys.stderr.write("radiosity: stopped; what was not finished was not written\n")
+            return INTERRUPTED
+
+
+def _run(tasks: list[Task], given: dict[str, object], enable_scripts: bool, stream) -> int:
+    failed = []
+    for task in tasks:
+        label = str(task.source or "the open file")
+        try:
+            stream.write(f"{_bake(task, given, enable_scripts)}\n")
+            stream.flush()
+        except (RadiosityError, OSError) as error:
+            failed.append(label)
+            sys.stderr.write(f"radiosity: error: {_one_line(label, error)}\n")
+            sys.stderr.flush()
+    if failed and len(tasks) > 1:
+        sys.stderr.write(f"radiosity: {len(failed)} of {len(tasks)} files failed: {', '.join(failed)}\n")
+    return FAILED if failed else DONE
+
+
+def _one_line(label: str, error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if label in text else f"{label}: {text}"
+
+
+def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
+    """Bake one file, write what was named, and say so in one line."""
+    import bpy
+
+    from .adapters.bake_job import bake_job_steps
+    from .adapters.bake_settings import bake_options
+    from .adapters.console import ProgressLine
+    from .adapters.picture import render_baked_picture
+    from .adapters.scene_files import open_scene, save_scene, write_all_or_nothing
+
+    line = ProgressLine(task.source.name if task.source else "radiosity", sys.stderr)
+    try:
+        if task.source:
+            line.update(0.0, "Opening")
+            open_scene(task.source, enable_scripts)
+        context = bpy.context
+        options = bake_options(context.scene.radiosity, **given)
+        steps = bake_job_steps(context, options)
+        while True:
+            try:
+                progress = next(steps)
+            except StopIteration as end:
+                report = end.value
+                break
+            line.update(progress.fraction, progress.message)
+        line.update(1.0, "Writing")
+        writers = {}
+        if task.output:
+            writers[task.output] = save_scene
+        if task.report:
+            text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+            writers[task.report] = partial(Path.write_text, data=text, encoding="utf-8")
+        if task.image:
+            writers[task.image] = lambda path: render_baked_picture(context, path, options.attribute_name)
+        write_all_or_nothing(writers)
+    finally:
+        line.clear()
+    name = task.source or bpy.data.filepath
+    return f"{name}: baked -> {', '.join(str(path) for path in task.results)}"
+
+
+@contextmanager
+def _registered() -> Iterator[None]:
+    """The add-on is registered while a command runs; inside Blender it is already."""
+    import bpy
+
+    from . import register as register_all
+    from . import unregister as unregister_all
+
+    if hasattr(bpy.types.Scene, "radiosity"):
+        yield
+        return
+    register_all()
+    try:
+        yield
+    finally:
+        unregister_all()
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt, also in the program, which otherwise only sets a flag of its own."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        # None means a handler that Python did not set and cannot put back; the process is about to end.
+        signal.signal(signal.SIGINT, before if before is not None else signal.SIG_DFL)
+
+
+_handle = None
+
+
+def _main_in_blender(argv: list[str]) -> int:
+    import bpy
+
+    opened = Path(bpy.data.filepath) if bpy.data.filepath else None
+    return main(argv, "blender -b SCENE.blend --command radiosity", opened)
+
+
+def register() -> None:
+    """Make `blender --command radiosity` known."""
+    global _handle
+    import bpy
+
+    _handle = bpy.utils.register_cli_command("radiosity", _main_in_blender)
+
+
+def unregister() -> None:
+    """Take the command back."""
+    global _handle
+    import bpy
+
+    if _handle is not None:
+        bpy.utils.unregister_cli_command(_handle)
+        _handle = None

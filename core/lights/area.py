@@ -2,16 +2,67 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+
+from ..form_factors.point_to_polygon import point_to_polygon
+from . import sampling
 
 
 @dataclass(frozen=True)
 class AreaLight:
-    """A planar polygon `vertices` (k, 3) with `exitance` (W/m2 per channel) on its front, by the right-hand rule, and on
-    its back too where `two_sided`."""
+    """A planar convex polygon `vertices` (k, 3) with `exitance` (W/m2 per channel) on its front, by the right-hand rule,
+    and on its back too where `two_sided`."""
 
     vertices: np.ndarray
     exitance: np.ndarray
     two_sided: bool = False
+
+    @cached_property
+    def _vector_area(self) -> np.ndarray:
+        center = self.vertices - self.vertices[0]
+        return np.cross(center[1:-1], center[2:]).sum(axis=0) / 2
+
+    @property
+    def area(self) -> float:
+        """Area in m2."""
+        return float(np.linalg.norm(self._vector_area))
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(3,) unit normal of the front."""
+        return self._vector_area / max(self.area, 1e-300)
+
+    @property
+    def power(self) -> np.ndarray:
+        """(3,) flux in W."""
+        return np.asarray(self.exitance, dtype=float) * self.area * (2 if self.two_sided else 1)
+
+    @property
+    def color(self) -> np.ndarray:
+        """(3,) exitance in W/m2."""
+        return np.asarray(self.exitance, dtype=float)
+
+    @property
+    def is_sharp(self) -> bool:
+        """Never: every polygon casts a penumbra."""
+        return False
+
+    def in_frame(self, center: np.ndarray, size: float) -> AreaLight:
+        """See `Light.in_frame`: exitance does not depend on the unit of length."""
+        return replace(self, vertices=(np.asarray(self.vertices, dtype=float) - center) / size)
+
+    def geometry(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """See `Light.geometry`: the configuration factor, in closed form."""
+        return point_to_polygon(points, normals, self.vertices, two_sided=self.two_sided)
+
+    def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.aim`. The cosine at the light times its distance is the same for all places on a plane, so a
+        place weighs cos(receiver) / r^3, which is (segment . normal) / r^4."""
+        places = sampling.polygon(np.asarray(self.vertices, dtype=float), count)
+        segments = places - points[:, None]
+        square = np.einsum("nci,nci->nc", segments, segments)
+        along = np.einsum("nci,ni->nc", segments, normals)
+        return segments, np.maximum(along, 0) / np.maximum(square, 1e-30) ** 2

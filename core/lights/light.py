@@ -1,8 +1,8 @@
 """What every light can do, and nothing else.
 
 Direct light is split in two factors, as in Baum et al. 1989: an unoccluded part in closed form, and a visibility that is
-sampled by rays. A light therefore answers two questions: how much would arrive without occluders, and towards which
-points must rays be cast to find the visible share.
+sampled by rays. A light therefore answers two questions: how much would arrive without occluders, and along which
+segments must rays be cast to find the visible share.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 
 
 class Light(Protocol):
-    """A source of direct light."""
+    """A source of direct light. Lengths are in the units of the points it is asked about; see `in_frame`."""
 
     @property
     def power(self) -> np.ndarray:
-        """(3,) emitted flux in W; for a sun, irradiance times pi, to be scaled by the scene's cross-section."""
+        """(3,) emitted flux in W; for a sun, the flux through one square meter across its rays."""
         ...
 
     @property
@@ -27,17 +27,19 @@ class Light(Protocol):
 
     @property
     def is_sharp(self) -> bool:
-        """Whether one ray tells all about visibility (a point, or parallel light)."""
+        """Whether one ray tells all about visibility: the source is a point, or its light parallel."""
+        ...
+
+    def in_frame(self, center: np.ndarray, size: float) -> Light:
+        """The same light seen from a frame whose origin is `center` and whose unit of length is `size`; irradiance at
+        corresponding points is equal."""
         ...
 
     def geometry(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n,) unoccluded irradiance per unit of `color` at n oriented points; 0 behind and below the horizon."""
+        """(n,) unoccluded irradiance per unit of `color` at (n, 3) points with (n, 3) normals; 0 below the horizon."""
         ...
 
-    def targets(self, count: int, seed: int) -> np.ndarray:
-        """(count, 3) well-spread points on the light; for a sun, unit directions towards it."""
-        ...
-
-    def weights(self, points: np.ndarray, normals: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """(n, count) relative contribution of each target at each point, not normalized; 0 where it gives nothing."""
+    def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Segments (n, count, 3) from the points to well-spread places on the light, and the weights (n, count) of
+        their contributions, not normalized, 0 where a place gives nothing."""
         ...

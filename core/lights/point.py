@@ -2,9 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from . import sampling
+
+
+def sphere_irradiance(cosines: np.ndarray, distances: np.ndarray, radius: float) -> np.ndarray:
+    """Irradiance from a uniform sphere of unit intensity, cut by the receiver's horizon, in 1/m2 (n,).
+
+    `cosines` (n,) are those between the normal and the direction to the center, `distances` (n,) those to it. A point
+    within the sphere is treated as if on its surface. Closed form of the sphere-to-element configuration factor (Howell,
+    Catalog of Radiation Heat Transfer Configuration Factors, B-43).
+    """
+    if radius <= 0:
+        return np.maximum(cosines, 0) / distances**2
+    distances = np.maximum(distances, radius * (1 + 1e-6))
+    sine2 = (radius / distances) ** 2
+    above = np.maximum(cosines, 0) * sine2 * np.pi
+    cut = cosines**2 < sine2
+    if np.any(cut):
+        c, s2 = cosines[cut], sine2[cut]
+        sine = np.sqrt(np.maximum(1 - c**2, 1e-12))
+        x = np.sqrt(1 / s2 - 1)
+        y = np.clip(-x * c / sine, -1, 1)
+        root = sine * np.sqrt(np.maximum(1 - y**2, 0))
+        above[cut] = np.maximum((c * np.arccos(y) - x * root) * s2 + np.arctan(root / np.maximum(x, 1e-12)), 0)
+    return above / (np.pi * radius**2)
 
 
 @dataclass(frozen=True)
@@ -14,3 +39,43 @@ class PointLight:
     position: np.ndarray
     intensity: np.ndarray
     radius: float = 0.0
+
+    @property
+    def power(self) -> np.ndarray:
+        """(3,) flux in W."""
+        return 4 * np.pi * np.asarray(self.intensity, dtype=float)
+
+    @property
+    def color(self) -> np.ndarray:
+        """(3,) intensity in W/sr."""
+        return np.asarray(self.intensity, dtype=float)
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether the radius is 0."""
+        return self.radius <= 0
+
+    def in_frame(self, center: np.ndarray, size: float) -> PointLight:
+        """See `Light.in_frame`: irradiance falls with the square of distance, so intensity shrinks with it."""
+        return replace(
+            self,
+            position=(np.asarray(self.position, dtype=float) - center) / size,
+            intensity=np.asarray(self.intensity, dtype=float) / size**2,
+            radius=self.radius / size,
+        )
+
+    def geometry(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """See `Light.geometry`."""
+        towards = np.asarray(self.position, dtype=float) - points
+        distances = np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
+        cosines = np.einsum("ij,ij->i", towards, normals) / distances
+        return sphere_irradiance(cosines, distances, self.radius)
+
+    def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.aim`: places on the disk that the sphere shows to each point."""
+        towards = np.asarray(self.position, dtype=float) - points
+        if self.is_sharp:
+            return towards[:, None], np.ones((len(points), 1))
+        directions = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+        segments = towards[:, None] + sampling.facing_disks(directions, self.radius, count)
+        return segments, np.maximum(np.einsum("nci,ni->nc", segments, normals), 0)

@@ -6,6 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from . import sampling
+from .point import sphere_irradiance
+
+#: Length of a segment towards the sun in the scene's own unit: well beyond a scene of size 1, and so short that float32
+#: still resolves the offset at its start.
+REACH = 8.0
+
 
 @dataclass(frozen=True)
 class SunLight:
@@ -15,3 +22,40 @@ class SunLight:
     direction: np.ndarray
     irradiance: np.ndarray
     angle: float = 0.0
+
+    @property
+    def power(self) -> np.ndarray:
+        """(3,) flux in W through one square meter across the rays."""
+        return np.asarray(self.irradiance, dtype=float)
+
+    @property
+    def color(self) -> np.ndarray:
+        """(3,) irradiance in W/m2 across the rays."""
+        return np.asarray(self.irradiance, dtype=float)
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether the angle is 0."""
+        return self.angle <= 0
+
+    def in_frame(self, center: np.ndarray, size: float) -> SunLight:
+        """See `Light.in_frame`: parallel light is the same everywhere."""
+        return self
+
+    def geometry(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """See `Light.geometry`: the cosine, softened where the horizon cuts the disk."""
+        cosines = normals @ np.asarray(self.direction, dtype=float)
+        sine = np.sin(min(self.angle, np.pi) / 2)
+        if sine <= 0:
+            return np.maximum(cosines, 0)
+        # The disk is that of a sphere of radius sine at distance 1; its horizon cut is in closed form there.
+        return sphere_irradiance(cosines, np.ones(len(points)), sine)
+
+    def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.aim`: segments of length `REACH` units, so the scene must be in its unit frame."""
+        direction = np.asarray(self.direction, dtype=float)[None]
+        count = 1 if self.is_sharp else count
+        rays = direction + sampling.facing_disks(direction, np.tan(self.angle / 2), count)[0]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        segments = np.broadcast_to(rays * REACH, (len(points), count, 3))
+        return segments, np.maximum(normals @ rays.T, 0)

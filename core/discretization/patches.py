@@ -1,0 +1,208 @@
+"""Patches: the geometric unit that acts as an illuminator (survey, figure 14), made from the traced triangles.
+
+A big triangle is divided into k * k equal cells; small triangles that lie near each other, face the same way and look
+the same are clustered into one patch. Either way a ray's hit (triangle, u, v) leads to its patch by arithmetic alone.
+Nothing of this touches the artist's mesh.
+
+Every patch has a front and a back. Row i of a table is the front of patch i, row ``count + i`` its back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..keys import row_keys
+
+#: Sample points per patch, one in each quarter of a cell.
+POINTS = 4
+
+#: Normals are grouped by rounding this multiple of them, so that a cluster's normals lie within about 30 degrees.
+NORMAL_STEPS = 2.0
+
+#: Divisions of a triangle's side are kept below this, so that cell numbers within a triangle stay exact in float32.
+MAX_DIVISIONS = 1024
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Patches over m traced triangles, in the unit frame.
+
+    Parameters
+    ----------
+    count : int
+        Number of patches (P).
+    first : (m,) int32
+        Patch of the first cell of each triangle.
+    divisions : (m,) float32
+        Cells along a side of each triangle, 1 where the triangle is a cell or lies in a cluster.
+    areas : (P,) float64
+        In unit lengths squared.
+    sizes : (P,) float32
+        Square root of the area.
+    points, normals : (P, POINTS, 3) float32
+        Sample points on the front and the geometric normals there.
+    point_triangles : (P, POINTS) int32
+    point_weights : (P, POINTS, 3) float32
+        Triangle of each sample point, and its barycentric weights there.
+    """
+
+    count: int
+    first: np.ndarray
+    divisions: np.ndarray
+    areas: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    point_triangles: np.ndarray
+    point_weights: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """(P,) side of a square as large as each patch."""
+        return np.sqrt(self.areas).astype(np.float32)
+
+    def at(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Patch (n,) int32 at hits given by triangle and barycentric weights of its second and third corner."""
+        k = self.divisions[triangles]
+        first = self.first[triangles]
+        big = k > 1
+        if not big.any():
+            return first
+        if big.all():
+            return first + _cell(k, u, v)
+        first[big] += _cell(k[big], u[big], v[big])
+        return first
+
+
+def _cell(k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Number (n,) int32 of the cell within a triangle whose sides are cut into k (n,) parts.
+
+    Row i along the second corner holds 2(k - i) - 1 cells, upright and inverted in turn.
+    """
+    along, up = k * u, k * v
+    i, j = np.floor(along), np.floor(up)
+    inverted = (along - i) + (up - j) > 1
+    # Rounding may put a hit on the third side just outside the triangle.
+    i = np.minimum(i, k - 1)
+    cell = i * (2 * k - i) + 2 * j + inverted
+    return np.clip(cell, i * (2 * k - i), i * (2 * k - i) + 2 * (k - i) - 2).astype(np.int32)
+
+
+def _triangle_shape(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    cross = np.cross(one, other)
+    double = np.linalg.norm(cross, axis=1)
+    third = other - one
+    longest = np.sqrt(np.maximum.reduce([(e * e).sum(axis=1) for e in (one, other, third)]))
+    return double / 2, cross / np.maximum(double, 1e-300)[:, None], longest
+
+
+def _divisions(areas: np.ndarray, longest: np.ndarray, size: float) -> np.ndarray:
+    # A compact triangle is cut by its side; a thin one by the mean of its two extents, or it would become dust.
+    extent = np.sqrt(np.sqrt(areas) * longest / 2)
+    return np.clip(np.ceil(extent / size - 0.25), 1, MAX_DIVISIONS)
+
+
+def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray, target: int) -> Patches:
+    """Divide big triangles and cluster small ones into about `target` patches.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+        In the unit frame.
+    triangles : (m, 3) int
+        Without zero-area triangles.
+    looks : (m,) int
+        Only triangles with equal numbers share a patch.
+    target : int
+        Patches wanted; kept within a factor of about 2.
+
+    Returns
+    -------
+    Patches
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[triangles]
+    areas, normals, longest = _triangle_shape(corners)
+    size = np.sqrt(areas.sum() / max(target, 1))
+    divisions = _divisions(areas, longest, size)
+    # Thin triangles cost more cells than their area says; one correction brings the number back to the target.
+    excess = (divisions[divisions > 1] ** 2).sum() / max(target, 1)
+    if excess > 1.5:
+        size *= np.sqrt(excess)
+        divisions = _divisions(areas, longest, size)
+    whole = divisions > 1
+    small = np.nonzero(~whole)[0]
+    clusters, representatives = _cluster(corners[small], areas[small], normals[small], looks[small], size)
+
+    cells = np.where(whole, divisions**2, 0).astype(np.int64)
+    first = np.concatenate([[0], np.cumsum(cells)])[:-1].astype(np.int32)
+    divided = int(cells.sum())
+    first[small] = divided + clusters
+    count = divided + (int(clusters.max()) + 1 if len(small) else 0)
+
+    patch_areas = np.empty(count)
+    point_triangles = np.empty((count, POINTS), np.int32)
+    weights = np.empty((count, POINTS, 3))
+    owner = np.repeat(np.nonzero(whole)[0], cells[whole])
+    patch_areas[:divided] = areas[owner] / divisions[owner] ** 2
+    point_triangles[:divided] = owner[:, None]
+    weights[:divided] = _cell_points(divisions[owner], np.arange(divided) - first[owner])
+    patch_areas[divided:] = np.bincount(clusters, weights=areas[small], minlength=count - divided)
+    point_triangles[divided:] = small[representatives]
+    weights[divided:] = _cluster_points(representatives)
+    points = np.einsum("pcw,pcwi->pci", weights, corners[point_triangles])
+    return Patches(
+        count=count,
+        first=first,
+        divisions=divisions.astype(np.float32),
+        areas=patch_areas,
+        points=points.astype(np.float32),
+        normals=normals[point_triangles].astype(np.float32),
+        point_triangles=point_triangles,
+        point_weights=weights.astype(np.float32),
+    )
+
+
+def _cell_points(k: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Barycentric weights (n, POINTS, 3) of the middles of the four quarters of cells, numbered as in `_cell`."""
+    # Row i starts at i (2 k - i): solve for i, then mend what rounding did to the root.
+    i = np.floor(k - np.sqrt(np.maximum(k * k - cell, 0)))
+    i += cell >= (i + 1) * (2 * k - i - 1)
+    i -= cell < i * (2 * k - i)
+    rest = cell - i * (2 * k - i)
+    j, inverted = np.floor(rest / 2), rest % 2
+    quarters = np.array([[1 / 3, 1 / 3], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [1 / 6, 1 / 6]])
+    inside = np.where(inverted[:, None, None] > 0, 1 - quarters, quarters)
+    uv = (np.stack([i, j], axis=1)[:, None] + inside) / k[:, None, None]
+    return np.concatenate([1 - uv.sum(axis=2, keepdims=True), uv], axis=2)
+
+
+def _cluster(corners, areas, normals, looks, size) -> tuple[np.ndarray, np.ndarray]:
+    """Cluster (s,) of each small triangle, and four members (clusters, POINTS) of each, spread by area."""
+    count = len(areas)
+    if not count:
+        return np.empty(0, np.int64), np.empty((0, POINTS), np.int64)
+    place = np.floor(corners.mean(axis=1) / size).astype(np.int64)
+    facing = np.rint(normals * NORMAL_STEPS).astype(np.int64)
+    _, clusters = np.unique(row_keys(*place.T, *facing.T, looks), return_inverse=True)
+    clusters = clusters.reshape(-1)
+    order = np.argsort(clusters, kind="stable")
+    upto = np.cumsum(areas[order])
+    starts = np.searchsorted(clusters[order], np.arange(clusters.max() + 1))
+    before = upto[starts] - areas[order][starts]
+    total = np.bincount(clusters, weights=areas)
+    marks = before[:, None] + total[:, None] * (np.arange(POINTS) + 0.5) / POINTS
+    chosen = np.searchsorted(upto, marks.ravel()).reshape(-1, POINTS)
+    ends = np.concatenate([starts[1:], [count]])
+    chosen = np.clip(chosen, starts[:, None], ends[:, None] - 1)
+    return clusters, order[chosen]
+
+
+def _cluster_points(representatives: np.ndarray) -> np.ndarray:
+    """Barycentric weights (clusters, POINTS, 3): the middle of a triangle, or its quarters where it serves for all."""
+    middle = np.full((len(representatives), POINTS, 3), 1 / 3)
+    alone = representatives[:, 0] == representatives[:, -1]
+    if alone.any():
+        middle[alone] = _cell_points(np.ones(1), np.zeros(1))[0]
+    return middle

@@ -1,0 +1,25 @@
+"""Grouping rows of integers: one 64-bit key per row, cheap to sort.
+
+Two different rows share a key with a probability of 2^-64 a pair, below 1e-7 for a million rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def row_keys(*columns: np.ndarray) -> np.ndarray:
+    """Keys (n,) uint64 of rows given as integer columns (n,), mixed by multiply and shift (constants of splitmix64)."""
+    key = np.zeros(len(columns[0]), np.uint64)
+    for column in columns:
+        key ^= column.astype(np.int64).view(np.uint64)
+        key *= np.uint64(0x9E3779B97F4A7C15)
+        key ^= key >> np.uint64(29)
+    return key * np.uint64(0xBF58476D1CE4E5B9)
+
+
+def unique_pairs(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
+    """Undirected pairs (e, 2) int32 of different numbers below `count`, each once, the lower number first, sorted."""
+    low, high = np.minimum(one, other).astype(np.int64), np.maximum(one, other)
+    keys = np.unique((low * count + high)[low != high])
+    return np.stack([keys // count, keys % count], axis=1).astype(np.int32)

@@ -1,0 +1,190 @@
+"""What a bake can be told: each property defined once, for the scene's settings and for the operator's arguments.
+
+The operator's arguments have no default of their own: one that was not given takes the scene's value. Identifiers and
+numbers of enum items stay as they are, since files and scripts hold them.
+"""
+
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from ...core.settings import ACCURACY_RANGE, BAKE_TYPES, METHODS, QUALITY_ACCURACY, SOLVERS
+
+DEFAULT_ATTRIBUTE = "Radiosity"
+
+_QUALITY_TEXTS = {
+    "draft": ("Draft", "For a first look"),
+    "preview": ("Preview", "For work in progress"),
+    "final": ("Final", "For the finished picture"),
+}
+QUALITY_ITEMS = [
+    (name.upper(), *_QUALITY_TEXTS[name][:1], f"{_QUALITY_TEXTS[name][1]}: {accuracy:.0%} error", number)
+    for number, (name, accuracy) in enumerate(QUALITY_ACCURACY.items())
+]
+QUALITY_ITEMS.append(('CUSTOM', "Custom", "Ask for an error of your own", 9))
+
+_BAKE_TYPE_TEXTS = {
+    "combined": ("Combined", "What the surface looks like: emitted and reflected light, with the material's color"),
+    "lighting": ("Lighting", "Light that arrives, direct and indirect, without the material's color"),
+    "direct": ("Direct", "Light that arrives straight from lamps, emitting faces and the world"),
+    "indirect": ("Indirect", "Light that arrives after at least one bounce"),
+    "emission": ("Emission", "Light that the surface itself emits"),
+}
+BAKE_TYPE_ITEMS = [(name.upper(), *_BAKE_TYPE_TEXTS[name], number) for number, name in enumerate(BAKE_TYPES)]
+
+DOMAIN_ITEMS = [
+    ('CORNER', "Face Corner", "Keep sharp edges, flat faces and material borders apart", 0),
+    ('POINT', "Vertex", "Store one color per vertex, the mean of its corners", 1),
+]
+DATA_TYPE_ITEMS = [
+    ('FLOAT_COLOR', "Color", "Store 32-bit numbers, which keep light brighter than white", 0),
+    ('BYTE_COLOR', "Byte Color", "Store 8-bit numbers, a quarter of the size, cut off at white", 1),
+]
+
+
+def _name_items(names, what):
+    texts = {"auto": ("Automatic", f"Choose the {what} that suits the scene")}
+    return [
+        (name.upper(), *texts.get(name, (name.replace("_", " ").title(), f"Use this {what}")), number)
+        for number, name in enumerate(names)
+    ]
+
+
+def quality(**more):
+    return EnumProperty(
+        name="Quality",
+        description="Set how close the light comes to the exact one",
+        items=QUALITY_ITEMS,
+        default='PREVIEW',
+        **more,
+    )
+
+
+def accuracy(**more):
+    """Limits are left to the caller: the panel clamps, an argument out of range is an error."""
+    return FloatProperty(
+        name="Accuracy",
+        description="Error of the light to aim for, as a share of its mean: 0.03 is 3 %",
+        default=QUALITY_ACCURACY["preview"],
+        soft_min=ACCURACY_RANGE[0],
+        soft_max=ACCURACY_RANGE[1],
+        step=1,
+        precision=3,
+        **more,
+    )
+
+
+def method(**more):
+    return EnumProperty(
+        name="Method",
+        description="Choose how the exchange of light between surfaces is found",
+        items=_name_items(METHODS, "method"),
+        default='AUTO',
+        **more,
+    )
+
+
+def solver(**more):
+    return EnumProperty(
+        name="Solver",
+        description="Choose how the bounces of light are summed",
+        items=_name_items(SOLVERS, "solver"),
+        default='AUTO',
+        **more,
+    )
+
+
+def bake_type(**more):
+    return EnumProperty(
+        name="Bake Type",
+        description="Choose which part of the light is stored",
+        items=BAKE_TYPE_ITEMS,
+        default='COMBINED',
+        **more,
+    )
+
+
+def attribute_name(**more):
+    return StringProperty(
+        name="Attribute",
+        description="Name the color attribute that takes the light; it is made where there is none",
+        default=DEFAULT_ATTRIBUTE,
+        **more,
+    )
+
+
+def domain(**more):
+    return EnumProperty(
+        name="Domain",
+        description="Choose where on the mesh colors are stored",
+        items=DOMAIN_ITEMS,
+        default='CORNER',
+        **more,
+    )
+
+
+def data_type(**more):
+    return EnumProperty(
+        name="Data Type",
+        description="Choose the kind of number that stores the colors",
+        items=DATA_TYPE_ITEMS,
+        default='FLOAT_COLOR',
+        **more,
+    )
+
+
+def seed(**more):
+    return IntProperty(
+        name="Seed",
+        description="Vary the pattern of random numbers; the same seed gives the same result",
+        default=0,
+        **more,
+    )
+
+
+def threads(**more):
+    return IntProperty(
+        name="Threads",
+        description="Set how many processor cores to use, 0 for all; the result is the same",
+        default=0,
+        soft_max=64,
+        **more,
+    )
+
+
+def time_limit(**more):
+    return FloatProperty(
+        name="Time Limit",
+        description="Refine no further after this many seconds, 0 for no limit",
+        default=0.0,
+        soft_max=3600.0,
+        subtype='TIME_ABSOLUTE',
+        unit='TIME_ABSOLUTE',
+        **more,
+    )
+
+
+def world_strength(**more):
+    return FloatProperty(
+        name="World Strength",
+        description="Light the scene with a white sky of this strength instead of its world",
+        default=1.0,
+        soft_max=10.0,
+        **more,
+    )
+
+
+def make_single_user(**more):
+    return BoolProperty(
+        name="Make Single User",
+        description="Give each object that shares its mesh with others a mesh of its own",
+        default=False,
+        **more,
+    )
+
+
+def show_in_viewport(**more):
+    return BoolProperty(
+        name="Show in Viewport",
+        description="Switch the 3D viewports of this screen to flat solid shading with the baked colors",
+        default=True,
+        **more,
+    )

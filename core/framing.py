@@ -2,9 +2,9 @@
 
 Rays from points spread over the bounding box tell what kind of place it is, as a person looking around would:
 
-- mostly sky in sight: a model seen from above and outside, at three quarters;
 - walls around and one side open (the usual Cornell box, a doll's house): seen through that side;
-- walls all around: seen from inside, from the spot and in the direction that show most.
+- walls and a ceiling, at least over part of it: seen from inside, from the spot and in the direction that show most;
+- open to the sky: a model seen from above and outside, at three quarters.
 
 Cost: about half a million rays, whatever the scene. Limits: up is +Z; "shows most" is depth, variety of directions and
 number of triangles, not beauty; a maze is shown by one of its halls.
@@ -26,8 +26,12 @@ _DIRECTIONS = 256
 #: Share of a lookout's directions that meet a back face above which it is taken to be inside a solid.
 _SOLID = 0.1
 
-#: Median share of sky around the lookouts above which the scene is a model in the open.
-_OPEN = 0.3
+#: A lookout that sees less sky than this is indoors; a scene with this share of such lookouts has an inside to show.
+_INDOOR_SKY = 0.15
+_INDOORS = 0.1
+
+#: The sky counts as this far away, in lengths of the scene's diagonal: it must not outshine everything else.
+_SKY_DEPTH = 0.2
 
 #: Lengths of the mean direction of all sky seen, 0 to 1: above this it lies on one side. A half space has 0.5.
 _ONE_SIDED = 0.6
@@ -73,15 +77,14 @@ def framed_view(engine: RayEngine, vertices: np.ndarray, triangles: np.ndarray, 
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     around = _look_around(engine, normals, low, high)
     free = _free(around)
-    sky = ~np.isfinite(around.distances[free])
-    if not free.any() or np.median(sky.mean(axis=1)) > _OPEN:
-        return _from_above(engine, normals, corners, aspect)
-    towards_sky = (sky @ around.directions).sum(axis=0) / max(sky.sum(), 1)
-    if np.linalg.norm(towards_sky) > _ONE_SIDED and sky.mean() > _WINDOW:
-        if abs(towards_sky[2]) > np.linalg.norm(towards_sky[:2]):
-            return _from_above(engine, normals, corners, aspect)
+    sky = ~np.isfinite(around.distances)
+    towards_sky = (sky[free] @ around.directions).sum(axis=0) / max(sky[free].sum(), 1)
+    if np.hypot(*towards_sky[:2]) > _ONE_SIDED and sky[free].mean() > _WINDOW:
         return fitted_view(corners.reshape(-1, 3), _nearest_axis(-towards_sky), aspect)
-    return _from_inside(engine, normals, around, free, float(np.linalg.norm(high - low)), aspect)
+    indoors = free & (sky.mean(axis=1) < _INDOOR_SKY)
+    if indoors.sum() > _INDOORS * free.sum():
+        return _from_inside(engine, normals, around, indoors, float(np.linalg.norm(high - low)), aspect)
+    return _from_above(engine, normals, corners, aspect)
 
 
 def fitted_view(points: np.ndarray, forward: np.ndarray, aspect: float, half_width: float = _NORMAL) -> View:
@@ -168,17 +171,16 @@ def _from_above(engine: RayEngine, normals: np.ndarray, corners: np.ndarray, asp
 
 
 def _from_inside(
-    engine: RayEngine, normals: np.ndarray, around: _Surroundings, free: np.ndarray, size: float, aspect: float
+    engine: RayEngine, normals: np.ndarray, around: _Surroundings, indoors: np.ndarray, size: float, aspect: float
 ) -> View:
     azimuth = np.radians(np.arange(16) * 22.5)
     forwards = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(16, -0.12)], axis=1)
     forwards /= np.linalg.norm(forwards, axis=1, keepdims=True)
     in_sight = around.directions @ forwards.T > 1 / np.sqrt(1 + _WIDE**2 * (1 + aspect**-2) / 2)
     # First sieve, by what the lookouts have seen already: the logarithm punishes what stands close before the eye.
-    depth = np.log(np.clip(around.distances / size, 1e-3, 1))
-    score = depth @ in_sight / np.maximum(in_sight.sum(axis=0), 1) - 4 * (around.backs @ in_sight) / in_sight.sum(axis=0)
+    score = (_log_depth(around.distances, size) - 4 * around.backs) @ in_sight / np.maximum(in_sight.sum(axis=0), 1)
     score += _eye_level(around)[:, None]
-    score[~free] = -np.inf
+    score[~indoors] = -np.inf
     # The best direction of each of the best spots.
     spots = np.argsort(-score.max(axis=1), kind="stable")[:48]
     views = []
@@ -189,6 +191,10 @@ def _from_inside(
     return max(views, key=lambda view: _worth(engine, normals, view, size))
 
 
+def _log_depth(distances: np.ndarray, size: float) -> np.ndarray:
+    return np.log(np.where(np.isfinite(distances), np.clip(distances / size, 1e-3, 1), _SKY_DEPTH))
+
+
 def _eye_level(around: _Surroundings) -> np.ndarray:
     """(p,) 0 at half height between floor and ceiling, below 0 near either."""
     down, up = (
@@ -196,13 +202,15 @@ def _eye_level(around: _Surroundings) -> np.ndarray:
         for side in (around.directions[:, 2] < -0.7, around.directions[:, 2] > 0.7)
     )
     up = np.where(np.isfinite(up), up, down)
-    share = np.where(np.isfinite(down), down / np.maximum(down + up, np.finfo(np.float64).tiny), 1.0)
+    with np.errstate(invalid="ignore"):  # infinite over infinite, where there is neither floor nor ceiling
+        share = down / np.maximum(down + up, np.finfo(np.float64).tiny)
+    share = np.nan_to_num(share, nan=1.0)
     return -4 * (share - 0.55) ** 2
 
 
 def _worth(engine: RayEngine, normals: np.ndarray, view: View, size: float | None) -> float:
     """How much a view shows; compares views of one kind. `size` (m) adds depth to the judgement, for inside views."""
-    x, y = np.meshgrid((np.arange(_JUDGE[0]) + 0.5) * 2 / _JUDGE[0] - 1, (np.arange(_JUDGE[1]) + 0.5) * 2 / _JUDGE[1] - 1)
+    x, y = np.meshgrid(*((np.arange(count) + 0.5) * (2 / count) - 1 for count in _JUDGE))
     origins, directions = view.rays(x.ravel(), y.ravel())
     met, _, _, distances = engine.closest(origins, directions)
     hit = met >= 0
@@ -214,5 +222,5 @@ def _worth(engine: RayEngine, normals: np.ndarray, view: View, size: float | Non
     variety = 1 - float(np.sum(facing.mean(axis=0) ** 2))
     worth = np.log(len(np.unique(met[hit]))) + 2 * variety - 8 * backs
     if size is not None:
-        worth += 2 * float(np.log(np.clip(distances / size, 1e-3, 1)).mean()) - 2 * float((~hit).mean())
+        worth += 2 * float(_log_depth(distances, size).mean()) - 4 * float((~hit).mean())
     return float(worth)

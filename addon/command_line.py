@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from ..core.errors import RadiosityError, SettingsError
-from ..core.settings import BAKE_TYPES, METHODS, QUALITY_ACCURACY, SOLVERS, BakeSettings
+from ..core.settings import BAKE_TYPES, METHODS, QUALITY_ACCURACY, SOLVERS
 
 DONE, FAILED, BAD_ARGUMENTS, INTERRUPTED = 0, 1, 2, 130
 
@@ -49,7 +49,6 @@ _OVERRIDES = {
     "time_limit": "time_limit",
     "world_strength": "world_strength",
 }
-_DATA_TYPES = {"float": "FLOAT_COLOR", "byte": "BYTE_COLOR"}
 _SUFFIXES = {"output": ".blend", "report": ".json", "image": ".png"}
 
 
@@ -88,7 +87,7 @@ def build_parser(program: str, may_be_open: bool = False) -> argparse.ArgumentPa
     bake.add_argument("--solver", type=_name, choices=SOLVERS, help="how the bounces are summed")
     bake.add_argument("--attribute", metavar="NAME", help="color attribute to write")
     bake.add_argument("--domain", type=_name, choices=("corner", "point"), help="where colors are stored")
-    bake.add_argument("--type", type=_name, choices=tuple(_DATA_TYPES), help="kind of number that stores colors")
+    bake.add_argument("--type", type=_name, choices=("float", "byte"), help="kind of number that stores colors")
     bake.add_argument("--bake", type=_name, choices=BAKE_TYPES, help="which part of the light")
     bake.add_argument("--world-strength", type=float, metavar="W", help="light with a white sky of this strength")
     bake.add_argument("--seed", type=int, metavar="N", help="pattern of random numbers")
@@ -171,25 +170,8 @@ def _refuse_collisions(tasks: list[Task], opened: Path | None, named_output: str
 
 
 def overrides(arguments: argparse.Namespace) -> dict[str, object]:
-    """Settings that were given, by the names and in the values of the bake's options.
-
-    Raises
-    ------
-    SettingsError
-        If a value is outside its range.
-    """
-    given = {new: getattr(arguments, old) for old, new in _OVERRIDES.items() if getattr(arguments, old) is not None}
-    BakeSettings(**{name: value for name, value in given.items() if name in BakeSettings.__dataclass_fields__})
-    if not 0 <= given.get("world_strength", 0.0) < float("inf"):
-        raise SettingsError(f"World strength must be 0 or more, not {given['world_strength']:g}")
-    if not given.get("attribute_name", "x").strip():
-        raise SettingsError("The attribute needs a name")
-    if "data_type" in given:
-        given["data_type"] = _DATA_TYPES[given["data_type"]]
-    if "accuracy" in given:
-        given["quality"] = "custom"
-    enums = ("quality", "method", "solver", "bake_type", "domain")
-    return {name: value.upper() if name in enums else value for name, value in given.items()}
+    """Settings that were given, by the names of the bake's options."""
+    return {new: getattr(arguments, old) for old, new in _OVERRIDES.items() if getattr(arguments, old) is not None}
 
 
 def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path | None = None) -> int:
@@ -209,8 +191,7 @@ def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path
         arguments = parser.parse_args(argv)
         try:
             tasks = plan_tasks(arguments, opened)
-            given = overrides(arguments)
-        except (ValueError, SettingsError) as error:
+        except ValueError as error:
             parser.error(str(error))
     except SystemExit as end:  # argparse's own way out, for --help and for errors; inside Blender it must not end all
         return end.code if isinstance(end.code, int) else BAD_ARGUMENTS
@@ -219,10 +200,24 @@ def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path
 
     with own_output(arguments.verbose) as stream, _registered(), _interruptible():
         try:
+            given = overrides(arguments)
+            _check(given)
             return _run(tasks, given, arguments.enable_scripts, stream)
+        except SettingsError as error:
+            sys.stderr.write(f"{program}: error: {error}\n")
+            return BAD_ARGUMENTS
         except KeyboardInterrupt:
             sys.stderr.write("radiosity: stopped; what was not finished was not written\n")
             return INTERRUPTED
+
+
+def _check(given: dict[str, object]) -> None:
+    """Raise SettingsError for a value out of range before the first file is opened."""
+    import bpy
+
+    from .adapters.bake_settings import bake_options
+
+    bake_options(bpy.context.scene.radiosity, **given)
 
 
 def _run(tasks: list[Task], given: dict[str, object], enable_scripts: bool, stream) -> int:
@@ -279,7 +274,9 @@ def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
             text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
             writers[task.report] = partial(Path.write_text, data=text, encoding="utf-8")
         if task.image:
-            writers[task.image] = lambda path: render_baked_picture(context, path, options.attribute_name)
+            writers[task.image] = lambda path: render_baked_picture(
+                context, path, options.attribute_name, threads=options.settings.threads
+            )
         write_all_or_nothing(writers)
     finally:
         line.clear()

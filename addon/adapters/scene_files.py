@@ -17,6 +17,7 @@ import addon_utils
 import bpy
 
 from ...core.errors import RadiosityError
+from .obj_emission import restore_emission
 
 # Importers per file name ending, the first that this Blender has is taken: FBX got a built-in one in 4.5, and some
 # distributions build Blender without USD.
@@ -60,6 +61,8 @@ def open_scene(path: Path, enable_scripts: bool = False) -> None:
         # Empty, so that nothing of the user's start-up file takes part in the bake.
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         _import(path, IMPORTERS[kind])
+        if kind == ".obj":
+            restore_emission(path)
     else:
         known = ", ".join((".blend", *IMPORTERS))
         raise RadiosityError(f"{path} is of an unknown kind: give one of {known}")
@@ -67,7 +70,8 @@ def open_scene(path: Path, enable_scripts: bool = False) -> None:
 
 def _open_blend(path: Path, enable_scripts: bool) -> None:
     try:
-        result = bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=enable_scripts)
+        # With its windows: they would be replaced by Blender's own in the file that is saved.
+        result = bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=True, use_scripts=enable_scripts)
     except RuntimeError as error:
         raise RadiosityError(f"{path} cannot be opened: {_reason(error)}") from error
     if 'FINISHED' not in result:

@@ -15,6 +15,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -140,7 +141,7 @@ def check_python(version: tuple[int, int], is_64_bit: bool) -> None:
 def _make_venv() -> None:
     python = venv_python(VENV)
     if Path(sys.prefix).resolve() != VENV.resolve() and (not _is_usable(python) or (VENV / _MARK).exists()):
-        if shutil.which("ensurepip") is None and not _has_module("ensurepip"):
+        if find_spec("ensurepip") is None:
             name = f"python{sys.version_info[0]}.{sys.version_info[1]}-venv"
             raise SetupError(f"this Python comes without ensurepip; run: sudo apt-get install {name}")
         if VENV.exists():
@@ -149,12 +150,6 @@ def _make_venv() -> None:
         (VENV / _MARK).touch()
         _run([sys.executable, "-m", "venv", str(VENV)], "the virtual environment cannot be made")
     (VENV / _MARK).touch()
-
-
-def _has_module(name: str) -> bool:
-    from importlib.util import find_spec
-
-    return find_spec(name) is not None
 
 
 def _is_usable(python: Path) -> bool:
@@ -173,22 +168,13 @@ def _install(extras: tuple[str, ...]) -> None:
     if not sys.stderr.isatty():
         command.append("--quiet")
     system, machine = platform.system(), platform.machine()
-    _run(command, f"packages cannot be installed for {system} {machine}; is there a network connection?")
+    _run(command, f"packages cannot be installed for {system} {machine}; pip says why above")
 
 
 def _run(command: list[str], failure: str) -> None:
-    """Run a command with its output on standard error; on failure, add what it said last to our own line."""
-    process = subprocess.Popen(
-        command, cwd=ROOT, stdout=sys.stderr.fileno(), stderr=subprocess.PIPE, text=True, errors="replace"
-    )
-    said = []
-    for line in process.stderr:
-        said.append(line.strip())
-        sys.stderr.write(line)
-    if process.wait():
-        errors = [line for line in said if line.lower().startswith("error")] or said
-        reason = f" ({errors[-1]})" if errors else ""
-        raise SetupError(f"{failure}{reason}")
+    """Run a command with all its output on standard error, so that standard output is the caller's."""
+    if subprocess.run(command, cwd=ROOT, stdout=sys.stderr.fileno(), check=False).returncode:
+        raise SetupError(failure)
 
 
 def _check_blender() -> None:

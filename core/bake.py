@@ -1,52 +1,260 @@
-"""The whole pipeline as a generator: contract (the body follows)."""
+"""The whole pipeline: read arrays in, light at every corner out, as a generator of `Progress`.
+
+Discretise, find what each patch sees, solve, gather at the receivers (the four steps of the survey's figure 4). Nothing
+is written anywhere: whoever runs the generator writes, once it has ended.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator
+import time
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from .scene import Scene
+from .bake_plan import BakePlan, foreseen_memory, plan_for
+from .baked_mesh import BakedMesh
+from .cleaning import clean
+from .direct_light import direct_light
+from .discretization.merging import merge_coplanar
+from .discretization.patches import Patches, build_patches
+from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
+from .gathering import HitTable
+from .indirect_light import indirect_light, uncut_edges
+from .interpolation import fill_from_neighbors
+from .lights.emissive import area_lights
+from .patch_checks import check_patches
+from .patch_solution import PatchSolution
+from .probe import probe_error
+from .progress import Progress, shared_progress
+from .receivers import Receivers, build_receivers
+from .scene import Scene, Surfaces
 from .settings import BakeSettings
+from .visibility.embree import Frame, RayPool, Tracer
 
-
-@dataclass(frozen=True)
-class Progress:
-    """One step of long work: `fraction` of all of it, 0 to 1, and what is being done."""
-
-    fraction: float
-    message: str
-
-
-@dataclass(frozen=True)
-class BakedMesh:
-    """Light at one `ReceiverMesh`."""
-
-    name: str
-    buried_corners: np.ndarray  # (c,) bool: filled from neighbors
-
-    def corner_colors(self, bake_type: str) -> np.ndarray:
-        """(c, 3) float32 colors per face corner, in the units of design section 2 (exitance or irradiance over pi)."""
-
-    def vertex_colors(self, bake_type: str) -> np.ndarray:
-        """(v, 3) float32 colors per vertex: mean of its unburied corners."""
+#: Rings of buried receivers that are filled from their neighbors. Deeper ones lie where nobody sees them.
+FILL_RINGS = 64
 
 
 @dataclass(frozen=True)
 class BakeResult:
-    """What a bake gives back. `statistics` holds JSON-ready numbers: patches, receivers, lights, rays, seconds per stage,
-    converged, iterations, light_absorbed, energy_balance_error, closure_error_max, reciprocity_error_max,
-    estimated_error."""
+    """What a bake gives back.
 
-    meshes: list[BakedMesh]  # one per Scene.receivers, same order
+    `meshes` are in the order of `Scene.receivers`. `statistics` holds JSON-ready numbers: counts of patches, receivers
+    and lights, rays, seconds per stage, converged, iterations, light_absorbed, energy_balance_error, closure_error_max,
+    reciprocity_error_max, estimated_error.
+    """
+
+    meshes: list[BakedMesh]
     statistics: dict
     warnings: list[str] = field(default_factory=list)
+
+
+class _Clock:
+    """Seconds per stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.started = time.perf_counter()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+    @property
+    def elapsed(self) -> float:
+        return time.perf_counter() - self.started
+
+
+@dataclass
+class _Model:
+    """The scene in the unit frame, ready for rays."""
+
+    frame: Frame
+    tracer: Tracer
+    patches: Patches
+    reflectance: np.ndarray
+    emission: np.ndarray
+    two_sided: np.ndarray
+    black_back: np.ndarray
+    lights: list
 
 
 def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None, BakeResult]:
     """Bake in steps of some tens of milliseconds; the generator's return value is the result.
 
-    Raises RadiosityError children for anything the user can mend. Nothing is written anywhere.
+    Raises
+    ------
+    EmptySceneError
+        Nothing to light.
+    NoEmittersError
+        Nothing emits light.
+    SceneTooLargeError
+        More memory foreseen than allowed.
+    MissingRayEngineError
+        embreex cannot be imported.
     """
-    yield Progress(0.0, "")
+    clock = _Clock()
+    plan = plan_for(settings.accuracy)
+    yield Progress(0.0, "Preparing surfaces")
+    with clock.stage("prepare"):
+        cleaned = clean(scene.surfaces)
+        _check(scene, cleaned.surfaces, plan, settings)
+    with RayPool(settings.threads) as pool:
+        with clock.stage("trace mesh"):
+            model = _build_model(cleaned.surfaces, cleaned.rows, scene, plan)
+        yield Progress(0.05, "Preparing receivers")
+        with clock.stage("receivers"):
+            receivers = build_receivers(scene.receivers, model.frame)
+        if not len(receivers):
+            raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
+        solution = _patch_solution(model, scene, plan, settings, pool)
+        with clock.stage("patches"):
+            yield from _told(solution.solve(), 0.1, 0.3, "Solving patches")
+        with clock.stage("direct light"):
+            work = direct_light(
+                model.tracer, model.lights, receivers.points, receivers.normals, receivers.edges, plan.penumbra_rays,
+                pool, settings.seed,
+            )
+            direct, rays = yield from _told(work, 0.3, 0.6, "Direct light")
+        with clock.stage("indirect light"):
+            free = uncut_edges(model.tracer, receivers, pool)
+            work = indirect_light(solution, receivers, receivers.edges[free], plan.indirect, settings.seed)
+            indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
+        with clock.stage("fill"):
+            light = np.concatenate([direct, indirect.irradiance], axis=1)
+            light, _ = fill_from_neighbors(light, ~indirect.buried, receivers.edges, FILL_RINGS)
+        yield Progress(0.95, "Estimating the error")
+        with clock.stage("estimate"):
+            error, probe_rays = probe_error(solution, receivers, light, indirect.buried, plan, settings.seed)
+    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays
+    statistics = _statistics(scene, model, receivers, solution, indirect, rays, error, clock)
+    meshes = [
+        BakedMesh(mesh, corners, light[:, :3], light[:, 3:], indirect.buried)
+        for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True)
+    ]
+    return BakeResult(meshes, statistics, [*scene.warnings, *cleaned.warnings, *_receiver_warnings(meshes)])
+
+
+def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSettings) -> None:
+    if not len(scene.receivers) or not any(len(mesh.corner_vertices) for mesh in scene.receivers):
+        raise EmptySceneError("No mesh with faces to bake: select one, or add faces to it")
+    if not len(surfaces.triangles):
+        raise EmptySceneError("No usable face in the scene: all are without area or have broken vertices")
+    dark = not surfaces.emission.any() and scene.sky_is_dark
+    if dark and not any(np.any(light.power > 0) for light in scene.lights):
+        raise NoEmittersError(
+            "Nothing in the scene emits light: add a lamp, give a material an emission strength above 0, or light the "
+            "world (World properties, or --world-strength 1 on the command line)"
+        )
+    corners = sum(len(mesh.corner_vertices) for mesh in scene.receivers)
+    needed = foreseen_memory(len(surfaces.triangles), corners, plan)
+    if settings.memory_limit and needed > settings.memory_limit:
+        raise SceneTooLargeError(
+            f"Baking {corners:,} corners among {len(surfaces.triangles):,} triangles would take about "
+            f"{needed / 1e6:,.0f} MB, and the limit is {settings.memory_limit / 1e6:,.0f} MB: select fewer objects or "
+            "raise the limit"
+        )
+
+
+def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakePlan) -> _Model:
+    frame = Frame.around(np.asarray(surfaces.vertices, dtype=np.float64))
+    vertices = (np.asarray(surfaces.vertices, dtype=np.float64) - frame.center) / frame.size
+    looks = _looks(surfaces)
+    merged = merge_coplanar(vertices, surfaces.triangles, looks)
+    source, triangles = merged.source, merged.triangles
+    two_sided = surfaces.two_sided[source]
+    lamps = [light.in_frame(frame.center, frame.size) for light in scene.lights if np.any(light.power > 0)]
+    lamp_power = sum(float(light.power.max()) for light in scene.lights)
+    constant = np.where(surfaces.textured[:, None], 0, surfaces.emission)[source]
+    shining, sampled = area_lights(
+        merged.vertices, triangles, constant, two_sided, lamp_power / frame.size**2
+    )
+    patches = build_patches(merged.vertices, triangles, looks[source], plan.patches)
+    reflectance, emission = _patch_colors(patches, surfaces, source, sampled, rows, frame, merged.vertices)
+    return _Model(
+        frame=frame,
+        tracer=Tracer.build(merged.vertices.astype(np.float32), triangles, surfaces.transmittance[source]),
+        patches=patches,
+        reflectance=reflectance,
+        emission=emission,
+        two_sided=two_sided[patches.point_triangles[:, 0]],
+        black_back=~two_sided,
+        lights=[*lamps, *shining],
+    )
+
+
+def _looks(surfaces: Surfaces) -> np.ndarray:
+    """Numbers (m,) that are equal where triangles may be merged."""
+    columns = np.column_stack([surfaces.materials, surfaces.two_sided])
+    _, looks = np.unique(columns, axis=0, return_inverse=True)
+    return looks.reshape(-1)
+
+
+def _patch_colors(patches, surfaces, source, sampled, rows, frame, vertices):
+    """Reflectance and emission (P, 3) of patches: means over their sample points."""
+    owners = source[patches.point_triangles]
+    reflectance = surfaces.reflectance[owners].mean(axis=1)
+    emission = np.where(sampled[patches.point_triangles][..., None], 0, surfaces.emission[owners]).mean(axis=1)
+    return reflectance, emission
+
+
+def _patch_solution(model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool) -> PatchSolution:
+    return PatchSolution(
+        tracer=model.tracer,
+        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky),
+        lights=model.lights,
+        reflectance=model.reflectance,
+        emission=model.emission,
+        two_sided=model.two_sided,
+        rays=plan.patch_rays,
+        penumbra_rays=plan.penumbra_rays,
+        pool=pool,
+        seed=settings.seed,
+    )
+
+
+def _told(work: Generator, low: float, high: float, message: str) -> Generator[Progress, None, object]:
+    """Progress of `work` within [low, high], with a message; its result is returned."""
+    work = shared_progress(work, low, high)
+    while True:
+        try:
+            fraction = next(work)
+        except StopIteration as end:
+            return end.value
+        yield Progress(fraction, message)
+
+
+def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
+    broken = [mesh.name for mesh in meshes if np.any(mesh.corner_receivers < 0)]
+    if not broken:
+        return []
+    return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
+
+
+def _statistics(scene, model, receivers, solution, indirect, rays, error, clock) -> dict:
+    checks = check_patches(solution)
+    return {
+        "triangles": len(scene.surfaces.triangles),
+        "traced_triangles": len(model.black_back),
+        "patches": int((model.patches.areas > 0).sum()),
+        "elements": len(receivers),
+        "receivers": len(receivers),
+        "buried_receivers": int(indirect.buried.sum()),
+        "nodes": indirect.nodes,
+        "lights": len(model.lights),
+        "rays": int(rays),
+        "converged": solution.converged,
+        "iterations": solution.sweeps,
+        "residual": solution.residual,
+        "light_absorbed": checks.light_absorbed,
+        "light_escaped": checks.light_escaped,
+        "energy_balance_error": checks.energy_balance_error,
+        "closure_error_max": checks.closure_error_max,
+        "reciprocity_error_max": checks.reciprocity_error_max,
+        "estimated_error": error,
+        "seconds": {**{k: round(v, 4) for k, v in clock.seconds.items()}, "total": round(clock.elapsed, 4)},
+    }

@@ -98,6 +98,7 @@ def direct_light(
     penumbra_rays: int,
     pool: RayPool,
     seed: int = 0,
+    first: int = FIRST_RAYS,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
     """Irradiance (n, 3) float32 from all lights at n oriented points, and the rays it took.
 
@@ -110,6 +111,8 @@ def direct_light(
         Neighbors among the points, by which penumbras are found.
     penumbra_rays : int
         Rays per light where its visibility is in doubt.
+    first : int
+        Rays per light from everywhere.
     """
     out = np.zeros((len(points), 3), np.float32)
     rays = 0
@@ -121,11 +124,11 @@ def direct_light(
         if not len(lit):
             continue
         starts = (points[lit] + np.float32(OFFSET) * normals[lit]).astype(np.float32)
-        first = 1 if light.is_sharp else FIRST_RAYS
+        few = 1 if light.is_sharp else first
         seen = np.empty(len(lit), np.float32)
-        for done in _visibility(tracer, light, starts, normals[lit], first, pool, seen):
+        for done in _visibility(tracer, light, starts, normals[lit], few, pool, seen):
             yield (number + 0.5 * done) / len(lights)
-        rays += first * len(lit)
+        rays += few * len(lit)
         if not light.is_sharp:
             doubtful = _penumbra(seen, lit, edges, len(points))
             more = np.empty(len(doubtful), np.float32)

@@ -38,7 +38,8 @@ def hemisphere_directions(count: int, variants: int = VARIANTS) -> np.ndarray:
 
 def turns_of(count: int, seed: int) -> np.ndarray:
     """Angles (count,) float32 for `turned_frames`, a well-mixed function of index and seed."""
-    index = np.arange(count, dtype=np.uint64) + np.uint64(seed) * np.uint64(0x632BE59BD9B4E019)
+    # Python integers, cut to 64 bits: NumPy warns when a scalar product wraps.
+    index = np.arange(count, dtype=np.uint64) + np.uint64(seed * 0x632BE59BD9B4E019 % 2**64)
     index = (index ^ (index >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
     index = (index ^ (index >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     return ((index >> np.uint64(40)).astype(np.float32) * np.float32(2 * np.pi / 2**24)).astype(np.float32)
@@ -46,7 +47,8 @@ def turns_of(count: int, seed: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class HitTable:
-    """How a hit becomes a row of the radiosity table: fronts, backs, sky cells, and last the row that is always black.
+    """How a hit becomes a row of the radiosity table: fronts, backs, sky cells, and two rows that are always black: one for
+    backs that reflect nothing, and last one for rays that leave a scene without sky.
 
     `black_back` (m,) marks triangles whose back reflects nothing.
     """
@@ -67,8 +69,18 @@ class HitTable:
 
     @property
     def rows(self) -> int:
-        """Rows of the table, the black one included."""
-        return self.sky_start + self.sky_cells + 1
+        """Rows of the table, the two black ones included."""
+        return self.sky_start + self.sky_cells + 2
+
+    @property
+    def black_row(self) -> int:
+        """Row of backs that reflect nothing."""
+        return self.rows - 2
+
+    @property
+    def outside_row(self) -> int:
+        """Row of rays that leave a scene without sky."""
+        return self.rows - 1
 
     def table(self, radiosity: np.ndarray) -> np.ndarray:
         """(rows, 4) float32 table from the radiosity (2P, 3) of fronts and backs; 4 wide, because that is fetched fastest."""
@@ -76,7 +88,7 @@ class HitTable:
         out[: self.sky_start, :3] = radiosity
         if self.sky is not None:
             # Radiance L over the whole hemisphere gives irradiance pi L, as a patch of radiosity pi L would.
-            out[self.sky_start : -1, :3] = np.pi * self.sky.radiance.reshape(-1, 3)
+            out[self.sky_start : self.sky_start + self.sky_cells, :3] = np.pi * self.sky.radiance.reshape(-1, 3)
         return out
 
     def look_up(self, hits: dict, directions: np.ndarray) -> np.ndarray:
@@ -85,7 +97,7 @@ class HitTable:
         met = triangles >= 0
         if met.all():
             return self._patch_rows(triangles, hits["u"], hits["v"], hits["Ng"], directions)
-        rows = np.full(len(triangles), self.rows - 1, np.int32)
+        rows = np.full(len(triangles), self.outside_row, np.int32)
         rows[met] = self._patch_rows(
             triangles[met], hits["u"][met], hits["v"][met], hits["Ng"][met], directions[met]
         )
@@ -98,7 +110,7 @@ class HitTable:
         back = np.einsum("ij,ij->i", facing, directions) > 0
         if back.any():
             rows[back] += self.patches.count
-            rows[back & self.black_back[triangles]] = self.rows - 1
+            rows[back & self.black_back[triangles]] = self.black_row
         return rows
 
     def _sky_cell(self, directions: np.ndarray) -> np.ndarray:
@@ -139,7 +151,7 @@ def gather(
     rays: int,
     pool: RayPool,
     seed: int = 0,
-    keep: np.ndarray | None = None,
+    names: np.ndarray | None = None,
 ) -> Generator[float, None, Gathered]:
     """Trace the hemispheres of n oriented points; yields the share done and returns `Gathered`.
 
@@ -151,14 +163,14 @@ def gather(
         Directions per receiver.
     seed : int
         Turns the lattices.
-    keep : (n,) int or None
+    names : (n,) int or None
         Numbers that decide a receiver's turn, where that must not depend on its place in this call.
     """
     count = len(points)
     rows = np.empty((count, rays), np.int32)
     distances = np.empty(count, np.float32)
     lattice = hemisphere_directions(rays)
-    names = np.arange(count) if keep is None else np.asarray(keep)
+    names = np.arange(count) if names is None else np.asarray(names)
     turns = turns_of(int(names.max()) + 1 if count else 0, seed)[names]
     variant = names % VARIANTS
     starts = (points + np.float32(OFFSET) * normals).astype(np.float32)

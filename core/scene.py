@@ -134,3 +134,8 @@ class Scene:
     lights: Sequence[Light] = ()
     sky: Sky | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
+
+    @property
+    def sky_is_dark(self) -> bool:
+        """Whether nothing arrives from outside."""
+        return self.sky is None or not np.any(self.sky.radiance > 0)

@@ -1,8 +1,8 @@
 """Triangulation of planar polygons, many at once.
 
-Triangles and convex loops become fans in whole arrays, concave quadrilaterals are cut from their inward corner, and what
-remains, concave loops of five corners and more, is cut ear by ear, one polygon at a time at a cost of k^3 for k corners.
-Loops that repeat a corner or run along a straight line are fine; loops that cross themselves are found and named.
+Triangles and convex loops become fans in whole arrays, concave quadrilaterals are cut from their inward corner, and
+what remains, concave loops of five corners and more, is cut ear by ear, one polygon at a time, at a cost of k^3 for k
+corners. Loops that repeat a corner or run straight on are fine; loops that cross themselves are found and named.
 """
 
 from __future__ import annotations

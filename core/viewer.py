@@ -6,12 +6,13 @@ keep edges smooth. No light is computed here.
 
 Cost: about 1 s per megapixel and core at the default 9 rays per pixel; memory is bounded by bands of rows.
 Limits: what is not triangles is not seen; linear interpolation shows the triangles of coarse meshes; surfaces are
-opaque and seen from both sides alike.
+opaque, and seen from both sides alike unless the view says otherwise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,12 @@ from .visibility.embree import RayEngine
 
 #: Rays in flight. About 150 bytes each, so some 80 MB.
 _BAND_SAMPLES = 500_000
+
+#: Back faces that one ray may pass, in a view that skips them; whatever lies behind more is not seen.
+_MAX_SKIPPED = 64
+
+#: Rays that judge whether a view stands outside a closed room.
+_OUTSIDE_SAMPLES = 2_000
 
 #: Rays that choose the exposure: enough for a percentile to be good to a percent.
 _EXPOSURE_SAMPLES = 40_000
@@ -42,6 +49,8 @@ class View:
     perspective : bool
     near, far : float
         Depths in meters before and beyond which nothing is seen.
+    skips_backs : bool
+        Whether back faces are looked through: a closed room seen from outside opens like a doll's house.
     """
 
     position: np.ndarray
@@ -54,6 +63,7 @@ class View:
     perspective: bool = True
     near: float = 0.0
     far: float = np.inf
+    skips_backs: bool = False
 
     def rays(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origins and directions (..., 3) of rays through points of the window, -1 to 1 from left to right, bottom to
@@ -108,10 +118,42 @@ class Viewer:
         radius = float(np.linalg.norm(self._high - self._low)) / 2
         middle = (self._low + self._high) / 2
         start = max(view.near, float((middle - view.position) @ view.forward) - radius * 1.01, 0.0)
-        triangles, u, v, distances = self.engine.closest(origins + start * directions, directions)
-        depths = distances + start
+        triangles, u, v, depths = self.engine.closest(origins + start * directions, directions)
+        depths += start
+        for _ in range(_MAX_SKIPPED if view.skips_backs else 0):
+            back = np.nonzero(self._is_back(triangles, directions))[0]
+            if not len(back):
+                break
+            onward = depths[back] + self.engine.offset
+            triangles[back], u[back], v[back], more = self.engine.closest(
+                origins[back] + onward[:, None] * directions[back], directions[back]
+            )
+            depths[back] = onward + more
         triangles[depths > view.far] = -1
         return triangles, u, v, depths
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        corners = np.asarray(self.scene.vertices, dtype=np.float64)[self.scene.triangles]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    def _is_back(self, triangles: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        return (triangles >= 0) & (np.einsum("ri,ri->r", self._normals[triangles], directions) > 0)
+
+    def opened(self, view: View) -> View:
+        """The view, made to skip back faces if it looks at a closed room from outside.
+
+        It does when more than half of what it meets are back faces, and as much as before is met behind them: a room
+        drawn with its normals outwards, seen from inside, would vanish instead.
+        """
+        x, y = _window_grid(view, _OUTSIDE_SAMPLES)
+        met = self.hits(view, x, y)[0]
+        backs = self._is_back(met, view.rays(x, y)[1])
+        through = replace(view, skips_backs=True)
+        if backs.sum() <= 0.5 * (met >= 0).sum():
+            return view
+        behind = self.hits(through, x[backs], y[backs])[0]
+        return through if (behind >= 0).mean() > 0.9 else view
 
     def colors(self, view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Color (r, 3) seen at each window point, and whether it is light (r,)."""
@@ -129,10 +171,7 @@ class Viewer:
 
     def exposure(self, view: View) -> float:
         """Factor that exposes the lit surfaces in this view well; the background does not count."""
-        aspect = view.half_width / view.half_height
-        rows = max(2, int(np.sqrt(_EXPOSURE_SAMPLES / aspect)))
-        columns = max(2, _EXPOSURE_SAMPLES // rows)
-        x, y = _window_points(np.arange(columns), np.arange(rows), columns, rows)
+        x, y = _window_grid(view, _EXPOSURE_SAMPLES)
         triangles, u, v, _ = self.hits(view, x, y)
         met = triangles >= 0
         met[met] = self.scene.is_light[triangles[met]]
@@ -186,6 +225,13 @@ def _window_points(columns: np.ndarray, rows: np.ndarray, width: int, height: in
     x = (columns + 0.5) * (2 / width) - 1
     y = 1 - (rows + 0.5) * (2 / height)
     return np.tile(x, len(rows)), np.repeat(y, len(columns))
+
+
+def _window_grid(view: View, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """About this many points, evenly over the window."""
+    rows = max(2, int(np.sqrt(samples * view.half_height / view.half_width)))
+    columns = max(2, samples // rows)
+    return _window_points(np.arange(columns), np.arange(rows), columns, rows)
 
 
 def _filter_weights(supersampling: int) -> tuple[np.ndarray, int]:

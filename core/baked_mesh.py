@@ -1,0 +1,94 @@
+"""Light at the corners of one mesh, ready to be written in any of the forms a bake can store."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .cleaning import clamped_emission, clamped_reflectance
+from .scene import ReceiverMesh
+
+
+@dataclass(frozen=True)
+class BakedMesh:
+    """Light at one `ReceiverMesh`.
+
+    Parameters
+    ----------
+    mesh : ReceiverMesh
+    corner_receivers : (c,) int32
+        Row of the arrays below for each corner, -1 where there is none.
+    direct, indirect : (r, 3) float32
+        Irradiance in W/m2 of all receivers of the bake, shared by its meshes.
+    buried : (r,) bool
+        Receivers inside other solids, whose light was filled in from neighbors.
+    """
+
+    mesh: ReceiverMesh
+    corner_receivers: np.ndarray
+    direct: np.ndarray
+    indirect: np.ndarray
+    buried: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Of the mesh, for reports."""
+        return self.mesh.name
+
+    @property
+    def buried_corners(self) -> np.ndarray:
+        """(c,) bool: corners whose light was filled in from neighbors."""
+        return self.buried[self.corner_receivers] & (self.corner_receivers >= 0)
+
+    def corner_colors(self, bake_type: str) -> np.ndarray:
+        """(c, 3) float32 per face corner, in W/(m2 sr).
+
+        Exitance over pi for ``combined`` and ``emission``, irradiance over pi for ``lighting``, ``direct`` and
+        ``indirect``. Black where a corner has no receiver.
+        """
+        if bake_type == "emission":
+            return (self._emission() / np.pi).astype(np.float32)
+        light = {"direct": self.direct, "indirect": self.indirect}.get(bake_type)
+        receivers = self.corner_receivers
+        if light is None:
+            arriving = self.direct[receivers]
+            arriving += self.indirect[receivers]
+        else:
+            arriving = light[receivers]
+        arriving *= np.float32(1 / np.pi)
+        if bake_type == "combined":
+            arriving *= self._reflectance()
+            arriving += self._emission() / np.float32(np.pi)
+        arriving[receivers < 0] = 0
+        return arriving
+
+    def vertex_colors(self, bake_type: str) -> np.ndarray:
+        """(v, 3) float32 per vertex: the mean of its corners that are not buried, or of all where all are."""
+        colors = self.corner_colors(bake_type)
+        vertices = self.mesh.corner_vertices
+        count = len(self.mesh.positions)
+        weight = np.where(self.buried_corners, 1e-9, 1.0) * (self.corner_receivers >= 0)
+        total = np.bincount(vertices, weights=weight, minlength=count)
+        out = np.empty((count, 3), np.float32)
+        for channel in range(3):
+            sums = np.bincount(vertices, weights=weight * colors[:, channel], minlength=count)
+            out[:, channel] = sums / np.maximum(total, 1e-30)
+        return out
+
+    def _faces(self) -> np.ndarray:
+        return np.repeat(self.mesh.face_materials, np.diff(self.mesh.face_offsets))
+
+    def _reflectance(self) -> np.ndarray:
+        if self.mesh.corner_reflectance is not None:
+            return clamped_reflectance(self.mesh.corner_reflectance)
+        palette = clamped_reflectance(self.mesh.palette_reflectance).astype(np.float32)
+        return palette[0] if len(palette) == 1 else palette[self._faces()]
+
+    def _emission(self) -> np.ndarray:
+        if self.mesh.corner_emission is not None:
+            return clamped_emission(self.mesh.corner_emission)
+        palette = clamped_emission(self.mesh.palette_emission).astype(np.float32)
+        if not palette.any():
+            return np.zeros((len(self.mesh.corner_vertices), 3), np.float32)
+        return palette[self._faces()]

@@ -1,0 +1,111 @@
+"""Bad geometry and impossible colors: left out or mended before anything is computed, and named once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .scene import Surfaces
+
+#: Largest reflectance: a surface that keeps nothing would reflect for ever. Physical whites reach 0.98.
+MAX_REFLECTANCE = 0.999
+
+#: A triangle is degenerate when its area is below this part of the square of its longest side: float32 rays cannot hit
+#: it, and its normal is rounding error.
+DEGENERATE = 1e-7
+
+#: Names listed in one warning before the rest is counted.
+MAX_NAMES = 5
+
+
+@dataclass(frozen=True)
+class CleanSurfaces:
+    """Usable surfaces, the row each triangle had in the surfaces given, and what had to be said."""
+
+    surfaces: Surfaces
+    rows: np.ndarray
+    warnings: list[str]
+
+
+def named(objects: np.ndarray, surfaces: Surfaces) -> str:
+    """The names of the objects that these triangles (k,) belong to, the first few of them."""
+    names = sorted({surfaces.object_names[i] for i in np.unique(surfaces.objects[objects])})
+    listed = ", ".join(f"'{name}'" for name in names[:MAX_NAMES])
+    return listed + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
+
+
+def clean(surfaces: Surfaces) -> CleanSurfaces:
+    """Leave out triangles that are not finite or have no area; clamp colors to what is possible.
+
+    Returns
+    -------
+    CleanSurfaces
+        May hold no triangle at all.
+    """
+    warnings = []
+    corners = np.asarray(surfaces.vertices, dtype=np.float64)[surfaces.triangles]
+    finite = np.isfinite(corners).all(axis=(1, 2))
+    if not finite.all():
+        warnings.append(
+            f"{int((~finite).sum())} triangles with vertices that are not numbers were left out: "
+            f"{named(~finite, surfaces)}. Delete those vertices"
+        )
+    with np.errstate(invalid="ignore", over="ignore"):
+        one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        double = np.linalg.norm(np.cross(one, other), axis=1)
+        longest = np.maximum.reduce([(e * e).sum(axis=1) for e in (one, other, other - one)])
+        flat = finite & ~(double > 2 * DEGENERATE * longest)
+    if flat.any():
+        warnings.append(
+            f"{int(flat.sum())} triangles without area were left out: {named(flat, surfaces)}. "
+            "Merge by Distance removes them"
+        )
+    rows = np.nonzero(finite & ~flat)[0]
+    reflectance = np.asarray(surfaces.reflectance, dtype=np.float64)[rows]
+    emission = np.asarray(surfaces.emission, dtype=np.float64)[rows]
+    transmittance = np.asarray(surfaces.transmittance, dtype=np.float64)[rows]
+    vertices, triangles = _compact(surfaces.vertices, surfaces.triangles[rows])
+    kept = replace(
+        surfaces,
+        vertices=vertices,
+        triangles=triangles,
+        materials=surfaces.materials[rows],
+        objects=surfaces.objects[rows],
+        two_sided=surfaces.two_sided[rows],
+        textured=surfaces.textured[rows],
+    )
+    _report(warnings, kept, ~np.isfinite(reflectance) | (reflectance < 0) | (reflectance > 1), "reflectance outside 0 to 1")
+    _report(warnings, kept, ~np.isfinite(emission) | (emission < 0), "emission that is negative or not a number")
+    kept = replace(
+        kept,
+        reflectance=clamped_reflectance(reflectance),
+        emission=clamped_emission(emission),
+        transmittance=np.clip(np.nan_to_num(transmittance), 0, 1),
+    )
+    return CleanSurfaces(kept, rows, warnings)
+
+
+def _compact(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Only the vertices that triangles use: the rest may be anywhere, or nowhere."""
+    used = np.zeros(len(vertices), bool)
+    used[triangles.ravel()] = True
+    if used.all():
+        return vertices, triangles
+    return vertices[used], (np.cumsum(used) - 1).astype(np.int32)[triangles]
+
+
+def clamped_reflectance(values: np.ndarray) -> np.ndarray:
+    """Reflectance within [0, MAX_REFLECTANCE]; what is not a number reflects nothing."""
+    return np.clip(np.nan_to_num(values, nan=0.0, posinf=1.0, neginf=0.0), 0, MAX_REFLECTANCE)
+
+
+def clamped_emission(values: np.ndarray) -> np.ndarray:
+    """Emission of at least 0; what is not a finite number emits nothing."""
+    return np.maximum(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), 0)
+
+
+def _report(warnings: list[str], surfaces: Surfaces, wrong: np.ndarray, what: str) -> None:
+    wrong = wrong.any(axis=1)
+    if wrong.any():
+        warnings.append(f"A {what} was clamped: {named(wrong, surfaces)}. Check the material")

@@ -1,0 +1,184 @@
+"""Indirect light at receivers: hemispheres at a few nodes, interpolation to all others.
+
+Interreflected light is smooth nearly everywhere, so it is gathered at coarse nodes first, and at finer ones only where
+it has been seen to change: where neighbors differ, where a finer node disagrees with what was interpolated for it, or
+where something stands near. This is the survey's adaptive subdivision (ccl.5) on receivers instead of patches, and the
+economy of irradiance caching (Ward, Rubinstein, Clear 1988) without its search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .discretization.nodes import NodeLevel, build_levels
+from .gathering import gather
+from .interpolation import interpolate
+from .patch_solution import PatchSolution
+from .progress import shared_progress
+from .receivers import Receivers
+from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+
+#: A receiver is buried when more than this part of its rays meets dark backs.
+BURIED = 0.1
+
+#: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
+#: sends it.
+NEAR = 0.75
+
+#: With fewer receivers than this many times the coarse nodes, nodes save nothing: gather everywhere.
+DENSE = 4.0
+
+
+@dataclass(frozen=True)
+class IndirectSettings:
+    """How finely to gather: rays per hemisphere, coarse nodes over the whole surface, levels of refinement, and the
+    relative difference above which a level is refined."""
+
+    rays: int
+    coarse_nodes: int
+    levels: int
+    tolerance: float
+
+
+@dataclass
+class IndirectLight:
+    """Irradiance (r, 3) from patches and sky, which receivers are buried, and what it took."""
+
+    irradiance: np.ndarray
+    buried: np.ndarray
+    nodes: int
+    rays: int
+
+
+def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarray:
+    """(e,) bool: receiver edges along which nothing stands on the surface. Others cross a wall."""
+    edges = receivers.edges
+    free = np.ones(len(edges), bool)
+
+    def work(start: int, stop: int) -> None:
+        one, other = edges[start:stop, 0], edges[start:stop, 1]
+        lift = np.float32(0.02) * (receivers.sizes[one] + receivers.sizes[other]) + np.float32(4 * OFFSET)
+        begin = receivers.points[one] + lift[:, None] * receivers.normals[one]
+        segment = receivers.points[other] + lift[:, None] * receivers.normals[other] - begin
+        free[start:stop] = tracer.visibility(begin, segment, 1.0) > 0
+
+    pool.run(work, len(edges), CHUNK_RAYS)
+    return free
+
+
+class _Gatherer:
+    """Traces hemispheres of receivers, each at most once, and keeps their values."""
+
+    def __init__(self, solution: PatchSolution, receivers: Receivers, rays: int, seed: int):
+        self.solution, self.receivers, self.rays, self.seed = solution, receivers, rays, seed
+        count = len(receivers)
+        self.values = np.zeros((count, 3), np.float32)
+        self.traced = np.zeros(count, bool)
+        self.dark = np.zeros(count, np.float32)
+        self.distances = np.zeros(count, np.float32)
+
+    def trace(self, who: np.ndarray) -> Generator[float, None, None]:
+        """Gather at receivers `who` (n,) that are not traced yet, in blocks of bounded memory."""
+        who = who[~self.traced[who]]
+        block = max(1, 4_000_000 // self.rays)
+        solution = self.solution
+        for start in range(0, len(who), block):
+            part = who[start : start + block]
+            work = gather(
+                solution.tracer, solution.hits_to_rows, self.receivers.points[part], self.receivers.normals[part],
+                self.rays, solution.pool, self.seed, names=part,
+            )
+            seen = yield from shared_progress(work, start / len(who), (start + len(part)) / len(who))
+            if solution.meet(seen.rows):
+                yield from solution.follow()
+            self.values[part] = seen.irradiance(solution.table())
+            self.dark[part] = solution.dark_rows()[seen.rows].mean(axis=1)
+            self.distances[part] = seen.distances
+            self.traced[part] = True
+
+    @property
+    def count(self) -> int:
+        """Receivers traced."""
+        return int(self.traced.sum())
+
+
+def indirect_light(
+    solution: PatchSolution,
+    receivers: Receivers,
+    edges: np.ndarray,
+    settings: IndirectSettings,
+    seed: int,
+) -> Generator[float, None, IndirectLight]:
+    """Irradiance at all receivers from the solved patches; yields the share done.
+
+    Parameters
+    ----------
+    edges : (e, 2) int32
+        Receiver edges that cross no wall.
+    """
+    gatherer = _Gatherer(solution, receivers, settings.rays, seed)
+    count = len(receivers)
+    if count <= DENSE * settings.coarse_nodes:
+        yield from gatherer.trace(np.arange(count))
+        return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, count * settings.rays)
+    spacing = np.sqrt(max(solution.patches.areas.sum(), 1e-12) / settings.coarse_nodes)
+    levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
+    values, valid = yield from _refine(gatherer, levels, settings)
+    finest = levels[-1]
+    irradiance, found = interpolate(
+        receivers.points, receivers.normals, np.arange(count), _candidates(finest, finest.clusters), finest.nodes,
+        values, valid, finest.spacing,
+    )
+    buried = ~(found & valid[finest.clusters])
+    return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays)
+
+
+def _candidates(level: NodeLevel, clusters: np.ndarray) -> np.ndarray:
+    return np.concatenate([clusters[:, None], level.neighbors[clusters]], axis=1)
+
+
+def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSettings):
+    """Values (k, 3) and validity (k,) of all nodes of the finest level."""
+    receivers = gatherer.receivers
+    level = levels[0]
+    share = 1 / len(levels)
+    yield from shared_progress(gatherer.trace(level.nodes), 0.0, share)
+    values = gatherer.values[level.nodes]
+    valid = gatherer.dark[level.nodes] <= BURIED
+    rough = _contrast(level, values, valid) > settings.tolerance
+    for depth, finer in enumerate(levels[1:], 1):
+        near = gatherer.distances[level.nodes] < NEAR * level.spacing
+        wanted = _with_neighbors(level, rough | ~valid) | (near & gatherer.traced[level.nodes])
+        parents = level.clusters
+        guess, found = interpolate(
+            receivers.points, receivers.normals, finer.nodes, _candidates(level, parents), level.nodes, values, valid,
+            level.spacing,
+        )
+        chosen = finer.nodes[wanted[parents] | ~found]
+        yield from shared_progress(gatherer.trace(chosen), depth * share, (depth + 1) * share)
+        known = gatherer.traced[finer.nodes]
+        values = np.where(known[:, None], gatherer.values[finer.nodes], guess)
+        valid = np.where(known, gatherer.dark[finer.nodes] <= BURIED, found)
+        scale = np.maximum(values, 0.5 * values[valid].mean(axis=0) if valid.any() else 1)
+        error = (np.abs(values - guess) / np.maximum(scale, 1e-30)).max(axis=1)
+        rough = known & found & (error > settings.tolerance)
+        level = finer
+    return values, valid
+
+
+def _contrast(level: NodeLevel, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Largest relative difference (k,) between a node and those around it."""
+    around = level.neighbors
+    usable = valid[around]
+    low = np.where(usable[..., None], values[around], values[:, None]).min(axis=1)
+    high = np.where(usable[..., None], values[around], values[:, None]).max(axis=1)
+    scale = np.maximum(values, 0.5 * values[valid].mean(axis=0) if valid.any() else 1)
+    spread = np.maximum(high, values) - np.minimum(low, values)
+    return (spread / np.maximum(scale, 1e-30)).max(axis=1)
+
+
+def _with_neighbors(level: NodeLevel, marked: np.ndarray) -> np.ndarray:
+    return marked | marked[level.neighbors].any(axis=1)

@@ -1,0 +1,229 @@
+"""Radiosity of the patches: one round of rays, then as many bounces as wanted on what they met.
+
+Each patch gathers at four points, direct light by the lights' own way and the rest over the hemisphere. The rows met
+are kept, so the system B = rho (D + F B) is solved on numbers alone. Backs are patches of their own, but only those are
+worked on that some ray has met: a closed room never pays for its outside.
+
+Points inside a solid see only dark backs. They are left out of their patch's mean, or the dark under a cupboard would
+bleed out from beneath it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .direct_light import direct_light
+from .discretization.patches import POINTS, Patches
+from .gathering import Gathered, HitTable, gather
+from .lights import Light
+from .progress import shared_progress
+from .visibility.embree import RayPool, Tracer
+
+#: A point is buried when more than this part of its rays meets dark backs.
+BURIED = 0.5
+
+#: A back counts as dark below this part of the mean radiosity of the scene: no light has found a way to it.
+DARK = 1e-5
+
+#: Solver: bounces at most, and the change at which it stops, relative to the largest radiosity.
+MAX_SWEEPS = 200
+TOLERANCE = 1e-5
+
+#: Earlier steps that Anderson's acceleration looks back on.
+MEMORY = 5
+
+
+@dataclass
+class _Side:
+    """Sample points of patches worked on: rows of the table, their light, and what they see."""
+
+    rows: np.ndarray
+    direct: np.ndarray  # (n, POINTS, 3)
+    seen: Gathered  # of n * POINTS points
+    kept: np.ndarray  # (n, POINTS) bool: not buried
+
+
+@dataclass
+class PatchSolution:
+    """Radiosity of fronts and backs, growing as rays meet new backs.
+
+    `radiosity` (2P, 3) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
+    `irradiance` (2P, 3) is what arrives. `direct_flux` is the part of it that comes from lights.
+    """
+
+    tracer: Tracer
+    hits_to_rows: HitTable
+    lights: Sequence[Light]
+    reflectance: np.ndarray  # (P, 3)
+    emission: np.ndarray  # (P, 3), of patches not sampled as lights
+    two_sided: np.ndarray  # (P,)
+    rays: int
+    penumbra_rays: int
+    pool: RayPool
+    seed: int
+    radiosity: np.ndarray = field(init=False)
+    irradiance: np.ndarray = field(init=False)
+    buried: np.ndarray = field(init=False)
+    active: np.ndarray = field(init=False)
+    _met: np.ndarray = field(init=False)
+    sweeps: int = 0
+    residual: float = 0.0
+    rays_traced: int = 0
+    _sides: list[_Side] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        count = self.patches.count
+        self.irradiance = np.zeros((2 * count, 3), np.float32)
+        self.radiosity = self.emitted
+        self.active = np.zeros(2 * count, bool)
+        self.buried = np.zeros(2 * count, bool)
+        self._met = np.zeros(self.hits_to_rows.rows, bool)
+
+    @property
+    def patches(self) -> Patches:
+        """The patches whose radiosity this is."""
+        return self.hits_to_rows.patches
+
+    def table(self) -> np.ndarray:
+        """(rows, 4) float32, for `Gathered.irradiance`."""
+        return self.hits_to_rows.table(self.radiosity)
+
+    def dark_rows(self) -> np.ndarray:
+        """(rows,) bool: backs that no light reaches, and backs that reflect nothing."""
+        dark = np.zeros(self.hits_to_rows.rows, bool)
+        count = self.patches.count
+        level = DARK * max(float(self.radiosity[:count].max(initial=0)), float(self.table().max()))
+        dark[count : 2 * count] = (self.radiosity[count:].max(axis=1) <= level) & self.active[count:]
+        dark[self.hits_to_rows.black_row] = True
+        return dark
+
+    def solve(self) -> Generator[float, None, None]:
+        """Gather at all fronts and at every back that is met, then solve."""
+        count = self.patches.count
+        fronts = np.arange(count)[self.patches.areas > 0]
+        for done in self._activate(fronts):
+            yield 0.8 * done
+        yield from self.follow()
+
+    def follow(self) -> Generator[float, None, None]:
+        """Work on backs met by rays so far until none is new, then solve for all."""
+        while True:
+            new = self._met_backs()
+            if not len(new):
+                break
+            yield from self._activate(new)
+        self._iterate()
+        self._find_buried()
+        self._iterate()
+
+    def meet(self, rows: np.ndarray) -> bool:
+        """Whether rays that lead to these table rows meet a back not yet worked on; if so, call `follow`."""
+        count = self.patches.count
+        self._met[rows] = True
+        return bool((self._met[count : 2 * count] & ~self.active[count:]).any())
+
+    def _met_backs(self) -> np.ndarray:
+        count = self.patches.count
+        return count + np.nonzero(self._met[count : 2 * count] & ~self.active[count:])[0]
+
+    def _activate(self, rows: np.ndarray) -> Generator[float, None, None]:
+        count = self.patches.count
+        patch = rows % count
+        points = self.patches.points[patch].reshape(-1, 3)
+        normals = self.patches.normals[patch] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
+        normals = np.ascontiguousarray(normals.reshape(-1, 3))
+        ring = _rings(len(rows))
+        work = direct_light(
+            self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed
+        )
+        direct, rays = yield from shared_progress(work, 0.0, 0.5)
+        work = gather(self.tracer, self.hits_to_rows, points, normals, self.rays, self.pool, self.seed + int(rows[0]))
+        seen = yield from shared_progress(work, 0.5, 1.0)
+        self.rays_traced += rays + self.rays * len(points)
+        self._sides.append(_Side(rows, direct.reshape(-1, POINTS, 3), seen, np.ones((len(rows), POINTS), bool)))
+        self._met[seen.rows] = True
+        self.active[rows] = True
+
+    def _find_buried(self) -> None:
+        dark = self.dark_rows()
+        for side in self._sides:
+            share = dark[side.seen.rows].mean(axis=1).reshape(-1, POINTS)
+            kept = share <= BURIED
+            gone = ~kept.any(axis=1)
+            self.buried[side.rows[gone]] = True
+            kept[gone] = True
+            side.kept = kept
+
+    def _gathered(self, table: np.ndarray) -> np.ndarray:
+        """(2P, 3) irradiance from the table and the lights, means over the points that are not buried."""
+        out = np.zeros_like(self.irradiance)
+        for side in self._sides:
+            arriving = side.direct + side.seen.irradiance(table).reshape(-1, POINTS, 3)
+            weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
+            out[side.rows] = np.einsum("npk,np->nk", arriving, weight)
+        return out
+
+    def _iterate(self) -> None:
+        """Fixed point of B = E + rho (D + F B), by Anderson's acceleration of Jacobi sweeps (Walker and Ni 2011)."""
+        rho = np.concatenate([self.reflectance, self.reflectance * self.two_sided[:, None]]).astype(np.float32)
+        emitted = self.emitted
+        radiosity = self.radiosity
+        steps: list[np.ndarray] = []
+        changes: list[np.ndarray] = []
+        for _ in range(MAX_SWEEPS):
+            self.irradiance = self._gathered(self.hits_to_rows.table(radiosity))
+            image = emitted + rho * self.irradiance
+            change = image - radiosity
+            self.sweeps += 1
+            self.residual = float(np.abs(change).max() / max(float(image.max(initial=0)), 1e-30))
+            if self.residual <= TOLERANCE:
+                radiosity = image
+                break
+            steps.append(image)
+            changes.append(change)
+            radiosity = _accelerated(steps[-MEMORY:], changes[-MEMORY:])
+        self.radiosity = np.maximum(radiosity, 0)
+
+    @property
+    def emitted(self) -> np.ndarray:
+        """(2P, 3) emission of fronts and backs that is not sampled as a light."""
+        return np.concatenate([self.emission, self.emission * self.two_sided[:, None]]).astype(np.float32)
+
+    def gathered_sides(self) -> Iterator[tuple[np.ndarray, np.ndarray, Gathered, np.ndarray]]:
+        """For each batch worked on: its rows (n,), direct light (n, POINTS, 3), what its points see, and which of them
+        (n, POINTS) count."""
+        for side in self._sides:
+            yield side.rows, side.direct, side.seen, side.kept
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver met its tolerance."""
+        return self.residual <= TOLERANCE
+
+
+def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarray:
+    """The mix of the last steps whose changes cancel best, per channel."""
+    if len(steps) == 1:
+        return steps[0]
+    out = np.empty_like(steps[-1])
+    for channel in range(3):
+        last = changes[-1][:, channel].astype(np.float64)
+        differences = np.stack([last - c[:, channel] for c in changes[:-1]], axis=1)
+        # Normal equations with a small tie: at most 4 unknowns, and nearly parallel changes must not blow up.
+        normal = differences.T @ differences
+        normal += np.eye(len(normal)) * (1e-10 * np.trace(normal) + 1e-300)
+        mix = np.linalg.solve(normal, differences.T @ last)
+        mixed = steps[-1][:, channel].astype(np.float64)
+        for weight, step in zip(mix, steps[:-1], strict=True):
+            mixed = mixed + weight * (step[:, channel] - steps[-1][:, channel])
+        out[:, channel] = np.maximum(mixed, 0)
+    return out
+
+
+def _rings(count: int) -> np.ndarray:
+    """Edges between the sample points of each of `count` patches: the middle one to the three others."""
+    start = np.arange(count, dtype=np.int32)[:, None] * POINTS
+    return np.stack([np.repeat(start, 3, axis=1), start + np.arange(1, POINTS)], axis=2).reshape(-1, 2)

@@ -1,0 +1,60 @@
+"""A quick look at the error of a bake: some receivers are done again with many more rays, and compared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .bake_plan import BakePlan
+from .direct_light import direct_light
+from .gathering import gather
+from .patch_solution import PatchSolution
+from .receivers import Receivers
+
+#: Receivers that are done again, and by what factor their rays grow. Their own error is then half of what is measured,
+#: which raises the estimate by about a tenth.
+PROBES = 192
+FACTOR = 4
+
+#: Rays that looking costs at most; with many lights fewer receivers are probed.
+MAX_RAYS = 400_000
+
+
+def probe_error(
+    solution: PatchSolution, receivers: Receivers, light: np.ndarray, buried: np.ndarray, plan: BakePlan, seed: int
+) -> tuple[float, int]:
+    """Relative RMS error of irradiance, estimated, and the rays it took.
+
+    Differences are taken over receivers and channels and divided by the mean irradiance. The error of the patches
+    themselves is shared by both sides and does not show.
+    """
+    candidates = np.nonzero(~buried)[0]
+    if not len(candidates):
+        return 0.0, 0
+    hemisphere, shadow = FACTOR * plan.indirect.rays, FACTOR * plan.penumbra_rays
+    each = hemisphere + shadow * min(len(solution.lights), 24)
+    count = int(min(PROBES, max(16, MAX_RAYS // each), len(candidates)))
+    generator = np.random.default_rng(seed)
+    chosen = np.sort(generator.choice(candidates, count, replace=False))
+    points, normals = receivers.points[chosen], receivers.normals[chosen]
+    alone = np.empty((0, 2), np.int32)
+    lit, rays = _finish(
+        direct_light(
+            solution.tracer, solution.lights, points, normals, alone, shadow, solution.pool, seed + 1, first=shadow
+        )
+    )
+    seen = _finish(
+        gather(solution.tracer, solution.hits_to_rows, points, normals, hemisphere, solution.pool, seed + 7919)
+    )
+    better = lit + seen.irradiance(solution.table())
+    baked = light[chosen, :3] + light[chosen, 3:]
+    mean = float(baked.mean())
+    error = float(np.sqrt(((baked - better) ** 2).mean()))
+    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count
+
+
+def _finish(work):
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value

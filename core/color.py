@@ -1,7 +1,7 @@
 """From scene-linear light to the 8 bits of a screen: luminance, exposure, highlights, sRGB, dithering.
 
 A bake stores light without an upper end; a screen shows 0 to 1. Exposure is one factor for a whole picture, chosen from
-its luminances alone, so the same picture is always exposed alike. It is a display matter: stored values stay untouched.
+its colors alone, so the same picture is always exposed alike. It is a display matter: stored values stay untouched.
 
 Limits: exposure looks at a histogram, not at where things are; a picture that is meant to be dark comes out bright.
 """
@@ -37,16 +37,17 @@ def luminance(colors: np.ndarray) -> np.ndarray:
     return np.asarray(colors) @ LUMINANCE_WEIGHTS.astype(np.result_type(colors, np.float32))
 
 
-def exposure_scale(luminances: np.ndarray) -> float:
-    """Factor that makes a picture with these luminances well exposed.
+def exposure_scale(colors: np.ndarray) -> float:
+    """Factor that makes a picture of these colors well exposed.
 
     A compromise of the geometric mean at middle gray (the log-average of Reinhard et al. [1]_) and bright surfaces just
-    below white. The factor scales inversely with the light: doubled luminances give half the factor.
+    below white. The factor scales inversely with the light: twice the light gives half the factor. What counts is the
+    strongest channel, not luminance: a saturated wall would leave the range of the screen and turn pale.
 
     Parameters
     ----------
-    luminances : (n,) float
-        Of the lit surfaces in the picture, any order. Values that are not finite or not positive are left out.
+    colors : (n, 3) float
+        Of the lit surfaces in the picture, any order. Those without a finite positive channel are left out.
 
     Returns
     -------
@@ -58,8 +59,8 @@ def exposure_scale(luminances: np.ndarray) -> float:
     .. [1] Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images",
        SIGGRAPH 2002, eq. 1.
     """
-    luminances = np.asarray(luminances, dtype=np.float64).ravel()
-    lit = luminances[np.isfinite(luminances) & (luminances > 0)]
+    strongest = np.asarray(colors, dtype=np.float64).reshape(-1, 3).max(axis=1)
+    lit = strongest[np.isfinite(strongest) & (strongest > 0)]
     if not lit.size:
         return 1.0
     bright = float(np.percentile(lit, _BRIGHT_PERCENTILE))

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .color import compress_highlights, dither_to_bytes, exposure_scale, linear_to_srgb, luminance
+from .color import compress_highlights, dither_to_bytes, exposure_scale, linear_to_srgb
 from .visibility.embree import RayEngine
 
 #: Rays in flight. About 150 bytes each, so some 80 MB.
@@ -176,7 +176,7 @@ class Viewer:
         met = triangles >= 0
         met[met] = self.scene.is_light[triangles[met]]
         corners, u, v = self.scene.colors[triangles[met]], u[met, None], v[met, None]
-        return exposure_scale(luminance((1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]))
+        return exposure_scale((1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2])
 
     def picture(
         self, view: View, width: int, height: int, exposure: float | None = None, supersampling: int = 3

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+
 import bpy
 import numpy as np
 
 from ...core.framing import framed_view
-from ...core.viewer import View
-from ...core.visibility.embree import RayEngine
+from ...core.viewer import View, Viewer
+
+logger = logging.getLogger(__name__)
 
 #: Longest side of a picture in pixels when the scene's own resolution is taken: enough to judge a bake, quick to make.
 MAX_SIDE = 1280
@@ -24,14 +27,18 @@ def picture_size(scene: bpy.types.Scene) -> tuple[int, int]:
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def scene_view(
-    context: bpy.types.Context, engine: RayEngine, vertices: np.ndarray, triangles: np.ndarray, width: int, height: int
-) -> View:
-    """View of the scene's camera, or `core.framing.framed_view` of the triangles (m, 3) of vertices (n, 3)."""
+def scene_view(context: bpy.types.Context, viewer: Viewer, width: int, height: int) -> View:
+    """View of the scene's camera, or one framed on what the viewer shows if the scene has none.
+
+    A camera that stands outside a closed room (a file's untouched default camera, mostly) looks through its back faces.
+    """
     camera = context.scene.camera
     if camera is None or camera.type != 'CAMERA':
-        return framed_view(engine, vertices, triangles, width / height)
-    return camera_view(context, camera, width, height)
+        return framed_view(viewer.engine, viewer.scene.vertices, viewer.scene.triangles, width / height)
+    view = viewer.opened(camera_view(context, camera, width, height))
+    if view.skips_backs:
+        logger.info("Camera %r stands outside the room: its picture leaves out back faces", camera.name)
+    return view
 
 
 def camera_view(context: bpy.types.Context, camera: bpy.types.Object, width: int, height: int) -> View:

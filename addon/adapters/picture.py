@@ -1,6 +1,6 @@
 """Pictures of a baked scene, straight from its color attributes: no render engine, no GPU, no window.
 
-Shows the evaluated meshes of the dependency graph as the depsgraph gives them, in the scene's view
+Shows the evaluated meshes, instances included, in the scene's view
 (`adapters.camera`), by `core.viewer`. A mesh that carries the attribute shows it; one that does not shows its
 material's base color under a dim head light, so that it is seen to be unlit and still recognized.
 """
@@ -17,6 +17,7 @@ import numpy as np
 from ...core.errors import EmptySceneError
 from ...core.viewer import ShownScene, View, Viewer
 from .camera import picture_size, scene_view
+from .mesh_arrays import read_corner_normals, read_mesh
 from .picture_file import write_picture
 
 logger = logging.getLogger(__name__)
@@ -132,7 +133,7 @@ def _pixels(
         background_is_light=is_light and any(part.light is not None for part in parts),
     )
     viewer = Viewer(shown, threads)
-    view = view or scene_view(context, viewer.engine, vertices, triangles, width, height)
+    view = view or scene_view(context, viewer, width, height)
     start = 0
     for part in parts:
         stop = start + len(part.triangles)
@@ -229,34 +230,21 @@ def _read_part(obj: bpy.types.Object, attribute_name: str) -> _Part | None:
     if mesh is None:
         return None
     try:
-        mesh.calc_loop_triangles()
-        count, corners = len(mesh.loop_triangles), len(mesh.loops)
-        vertices = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", vertices)
-        corner_vertices = np.empty(corners, np.int32)
-        mesh.loops.foreach_get("vertex_index", corner_vertices)
-        triangle_corners = np.empty(3 * count, np.int32)
-        mesh.loop_triangles.foreach_get("loops", triangle_corners)
-        polygons = np.empty(count, np.int32)
-        mesh.loop_triangle_polygons.foreach_get("value", polygons)
-        slots = np.zeros(len(mesh.polygons), np.int32)
-        mesh.polygons.foreach_get("material_index", slots)
-        normals = np.empty(3 * corners, np.float32)
-        mesh.corner_normals.foreach_get("vector", normals)
-        colors = _corner_colors(mesh, attribute_name, corner_vertices)
+        arrays = read_mesh(mesh)
+        normals = read_corner_normals(mesh)
+        colors = _corner_colors(mesh, attribute_name, arrays.corner_vertices)
     finally:
         obj.to_mesh_clear()
     looks = [_material_look(slot.material) for slot in obj.material_slots] or [_material_look(None)]
     # Faces may name a slot that is not there; Blender then takes the last.
-    rows = np.clip(slots[polygons], 0, len(looks) - 1)
-    triangle_corners = triangle_corners.reshape(-1, 3)
+    rows = np.clip(arrays.face_materials[arrays.triangle_faces], 0, len(looks) - 1)
     return _Part(
-        vertices=vertices.reshape(-1, 3).astype(np.float64),
-        triangles=corner_vertices[triangle_corners],
-        normals=normals.reshape(-1, 3)[triangle_corners],
+        vertices=arrays.positions.astype(np.float64),
+        triangles=arrays.corner_vertices[arrays.triangle_corners],
+        normals=normals[arrays.triangle_corners],
         look=np.array([color for color, _ in looks], dtype=np.float32)[rows],
         is_emissive=np.array([emits for _, emits in looks], dtype=bool)[rows],
-        light=None if colors is None else colors[triangle_corners],
+        light=None if colors is None else colors[arrays.triangle_corners],
     )
 
 

@@ -12,6 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 
+# Twice the area of a triangle that counts as a line, in units of the polygon's extent squared: a thousand times what
+# doubles resolve there, so that a cut never runs through another corner by rounding.
+FLAT = 1e-12
+
+
 def _turn(ax, ay, bx, by, cx, cy):
     """Twice the signed area of the triangles a, b, c: positive where they turn counter-clockwise."""
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
@@ -46,7 +51,7 @@ def triangulate_polygon(points: np.ndarray, loop_starts: np.ndarray) -> np.ndarr
     """
     points = np.asarray(points, dtype=np.float64)
     points = points - points.mean(axis=0)
-    loops = [np.asarray(loop) for loop in np.split(np.arange(len(points)), loop_starts[1:])]
+    loops = [np.asarray(loop) for loop in np.split(np.arange(len(points)), loop_starts[1:-1])]
     areas = [polygon_area(points[loop]) for loop in loops]
     outlines = [loop for loop, area in zip(loops, areas, strict=True) if area > 0.0]
     holes = [loop for loop, area in zip(loops, areas, strict=True) if area <= 0.0]
@@ -125,8 +130,7 @@ def _clip_ears(points, chain):
     following = np.roll(np.arange(count), -1).tolist()
     previous = np.roll(np.arange(count), 1).tolist()
     extent = float(max(np.ptp(x), np.ptp(y)))
-    # Doubles of this extent cannot tell a thinner triangle from a line.
-    flat = 1e-14 * extent * extent
+    flat = FLAT * extent * extent
     turns = _turn(np.roll(x, 1), np.roll(y, 1), x, y, np.roll(x, -1), np.roll(y, -1))
     blocking = turns <= flat
     # Corners visited more than once (bridges, touching loops) need a look at where the other visit goes.
@@ -141,7 +145,7 @@ def _clip_ears(points, chain):
             return None
         before, after = previous[corner], following[corner]
         ear = not blocking[corner] and _is_ear(
-            x, y, before, corner, after, blocking, repeated, inverse, alive, previous, following
+            x, y, flat, before, corner, after, blocking, repeated, inverse, alive, previous, following
         )
         if not ear:
             corner = after
@@ -165,14 +169,14 @@ def _clip_ears(points, chain):
     return chain[triangles]
 
 
-def _is_ear(x, y, before, tip, after, blocking, repeated, visits_of, alive, previous, following):
+def _is_ear(x, y, flat, before, tip, after, blocking, repeated, visits_of, alive, previous, following):
     """Whether the convex corner `tip` can be cut off without cutting off a part of the chain."""
     corners = (x[before], y[before], x[tip], y[tip], x[after], y[after])
     rows = np.flatnonzero(blocking)
     px, py = x[rows], y[rows]
-    inside = _turn(corners[0], corners[1], corners[2], corners[3], px, py) >= 0.0
-    inside &= _turn(corners[2], corners[3], corners[4], corners[5], px, py) >= 0.0
-    inside &= _turn(corners[4], corners[5], corners[0], corners[1], px, py) >= 0.0
+    inside = _turn(corners[0], corners[1], corners[2], corners[3], px, py) >= -flat
+    inside &= _turn(corners[2], corners[3], corners[4], corners[5], px, py) >= -flat
+    inside &= _turn(corners[4], corners[5], corners[0], corners[1], px, py) >= -flat
     if inside.any():
         px, py = px[inside], py[inside]
         corner = (px == corners[0]) & (py == corners[1])

@@ -1,0 +1,398 @@
+"""Flat regions of a triangle mesh: sets of triangles with equal key that hang together by edges and lie in one plane.
+
+Found without comparing triangles pair by pair: planes are hashed, edges are matched by one sort, and regions are the
+connected parts of what the matched edges link. A region is then measured against one plane as a whole, so that many
+small bends cannot add up to a curve. Cost: O(m log m) for the triangles that share a plane with others, and one pass
+for those that do not, which are most of a curved mesh.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+# Largest distance between a region and its plane, in units of the scene's diagonal. With an equal allowance for
+# straightening borders, the merged surface stays within 1e-6 of the scene: ten times float32's rounding at that scale.
+SCENE_TOLERANCE = 5e-7
+# The same in units of the region itself: a small object in a big scene keeps its shape.
+REGION_TOLERANCE = 1e-6
+# Rounding of float32 coordinates, the precision in which meshes arrive, in units of the coordinate: two ulps.
+ROUNDING = 2.4e-7
+# Cells in which planes are hashed: of the normal's components, and of the distance to the origin in scene diagonals.
+# Only a prefilter: equal cells are measured again, and neighbors in different cells are compared exactly.
+NORMAL_CELL = 1e-4
+OFFSET_CELL = 1e-5
+# A second, coarser grid finds the odd triangle that rounding pushed out of its plane's cells.
+COARSE = 10.0
+# Cosine of the largest angle between neighbors in one region, about 8 degrees: noise on small triangles, not a shape.
+LARGEST_BEND = 0.99
+# Fewer triangles than this can hardly shrink: a quadrilateral takes two anyway.
+SMALLEST_REGION = 4
+
+_CHUNK = 1 << 16  # triangles per block: their corners fit into the processor's cache
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+
+
+@dataclass(frozen=True)
+class PlanarRegions:
+    """Flat regions and the half-edges around them.
+
+    Parameters
+    ----------
+    triangles : (k,) int64
+        Triangles that were looked at; all others share their plane with nobody.
+    labels : (k,) int64
+        Region of each of them, -1 for none.
+    normals : (r, 3) float64
+        Unit normal of each region.
+    tolerances : (r,) float64
+        How far the surface may move at each region, in scene units.
+    border_origins, border_targets : (b,) int64
+        Vertices of the half-edges on the borders of regions, the region to their left, vertices at equal positions
+        given one number.
+    border_regions : (b,) int64
+    weld : (n,) int64
+        That number for each vertex of the mesh, a row of the vertices.
+    """
+
+    triangles: np.ndarray
+    labels: np.ndarray
+    normals: np.ndarray
+    tolerances: np.ndarray
+    border_origins: np.ndarray
+    border_targets: np.ndarray
+    border_regions: np.ndarray
+    weld: np.ndarray
+
+
+def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.ndarray) -> PlanarRegions | None:
+    """Regions of triangles with equal key in one plane, connected by edges; None when there are none.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    triangles : (m, 3) int32
+    keys : (m,) int
+
+    Notes
+    -----
+    Triangles that are not finite or have no area belong to no region.
+    """
+    size = scene_size(vertices, triangles)
+    if size <= 0.0:
+        return None
+    cells, coarse_cells = _plane_cells(vertices, triangles, keys, size)
+    candidates = np.flatnonzero(_is_shared(cells) | _is_shared(coarse_cells))
+    del coarse_cells
+    if len(candidates) < SMALLEST_REGION:
+        return None
+    cells = cells[candidates]
+    keys = np.asarray(keys)[candidates]
+    corners = triangles[candidates].astype(np.int64)
+    twins, weld = _match_edges(vertices, triangles, candidates, corners, keys, cells)
+    links = _links(vertices, corners, cells, twins, size, strict=False)
+    labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
+    failed = (big & ~flat)[labels]
+    if failed.any():
+        # Cells took in triangles of two planes; now only neighbors that lie in each other's plane stay together.
+        strict = _links(vertices, corners, cells, twins, size, strict=True)
+        links[failed] = strict[failed]
+        labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
+    if not flat.any():
+        return None
+    labels = np.where(flat, np.cumsum(flat) - 1, -1)[labels]
+    twin_labels = np.where(twins >= 0, labels[twins // 3], -2)
+    own_labels = np.repeat(labels, 3)
+    half_edges = np.flatnonzero((own_labels >= 0) & (own_labels != twin_labels))
+    return PlanarRegions(
+        triangles=candidates,
+        labels=labels,
+        normals=planes[flat],
+        tolerances=tolerances[flat],
+        border_origins=weld[corners.ravel()[half_edges]],
+        border_targets=weld[np.roll(corners, -1, axis=1).ravel()[half_edges]],
+        border_regions=own_labels[half_edges],
+        weld=weld,
+    )
+
+
+def scene_size(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """Diagonal of the box around all finite vertices that triangles use; 0 when there are none."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[triangles.ravel()] = True
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for axis in range(3):
+        values = vertices[:, axis]
+        values = values[used & np.isfinite(values)]
+        if len(values) == 0:
+            return 0.0
+        low[axis], high[axis] = values.min(), values.max()
+    return float(np.linalg.norm(high - low))
+
+
+def _plane_cells(vertices, triangles, keys, size):
+    """A number for the plane and the key of each triangle, 0 where it spans no plane: on a fine and a coarse grid."""
+    grids = np.zeros(len(triangles), dtype=np.uint64), np.zeros(len(triangles), dtype=np.uint64)
+    cell_sizes = np.array([NORMAL_CELL, NORMAL_CELL, NORMAL_CELL, OFFSET_CELL * size])
+    columns = [np.ascontiguousarray(vertices[:, axis]) for axis in range(3)]
+    center = np.array([np.mean(column[np.isfinite(column)]) for column in columns])
+    with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
+        for start in range(0, len(triangles), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            block = triangles[rows]
+            x, y, z = ([column[block[:, k]] for k in range(3)] for column in columns)
+            ux, uy, uz = x[1] - x[0], y[1] - y[0], z[1] - z[0]
+            vx, vy, vz = x[2] - x[0], y[2] - y[0], z[2] - z[0]
+            nx, ny, nz = _cross(ux, uy, uz, vx, vy, vz)
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            # Below this the normal is rounding: height under a 1e-12th of the longest edge.
+            longest = np.maximum(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
+            spans = np.isfinite(length) & (length > 1e-12 * longest)
+            length[~spans] = 1.0
+            # No plane, no number: zeros, so that the casts below stay defined.
+            nx, ny, nz = (np.where(spans, component / length, 0.0) for component in (nx, ny, nz))
+            offset = nx * (x[0] - center[0]) + ny * (y[0] - center[1]) + nz * (z[0] - center[2])
+            offset = np.where(spans, offset, 0.0)
+            key = np.asarray(keys[rows]).astype(np.int64).view(np.uint64) * _MIX[0]
+            for grid, factor in zip(grids, (1.0, COARSE), strict=True):
+                mixed = key
+                for value, cell in zip((nx, ny, nz, offset), cell_sizes * factor, strict=True):
+                    # Half a cell of shift: common planes, axis-aligned ones, lie inside of cells and not between two.
+                    whole = np.floor(value / cell + 0.5).astype(np.int64).view(np.uint64)
+                    mixed = (mixed ^ whole) * _MIX[1]
+                    mixed ^= mixed >> np.uint64(29)
+                grid[rows] = np.where(spans, mixed | np.uint64(1), np.uint64(0))
+    return grids
+
+
+def _is_shared(cells):
+    """Whether the cell of each triangle holds at least three, by counting hash buckets; a few others slip through."""
+    bits = int(np.clip(np.ceil(np.log2(len(cells) + 1)) + 2, 8, 22))
+    buckets = (cells >> np.uint64(64 - bits)).astype(np.int32)
+    counts = np.bincount(buckets[cells != 0], minlength=1 << bits)
+    # Less than SMALLEST_REGION: what is flat but noisy may spread over cells.
+    return (counts[buckets] >= 3) & (cells != 0)
+
+
+def _match_edges(vertices, triangles, candidates, corners, keys, cells):
+    """Twin of each half-edge (-1 for none) and the welded number of each vertex.
+
+    Vertices at the same position are told apart only by what lies between: meshes split there for their normals or
+    UVs. Welding is dear, so it is done for those that lie on an edge without a twin.
+    """
+    origins = corners.ravel()
+    targets = np.roll(corners, -1, axis=1).ravel()
+    twins = np.full(len(origins), -1, dtype=np.int64)
+    every = np.arange(len(origins))
+    _pair(twins, every, origins, targets, keys, cells, len(vertices))
+    open_edges = np.flatnonzero(twins < 0)
+    weld = np.arange(len(vertices))
+    if len(open_edges) == 0:
+        return twins, weld
+    on_border = np.zeros(len(vertices), dtype=bool)
+    on_border[origins[open_edges]] = True
+    on_border[targets[open_edges]] = True
+    others = np.ones(len(triangles), dtype=bool)
+    others[candidates] = False
+    elsewhere = np.zeros(len(vertices), dtype=bool)
+    elsewhere[triangles[others].ravel()] = True
+    if _weld(weld, vertices, on_border, elsewhere):
+        _pair(twins, open_edges, weld[origins], weld[targets], keys, cells, len(vertices))
+    return twins, weld
+
+
+def _pair(twins, half_edges, origins, targets, keys, cells, vertex_count):
+    """Write the twins of `half_edges`: the same edge run the other way by a triangle with the same key."""
+    first, second = origins[half_edges], targets[half_edges]
+    edges = np.minimum(first, second).astype(np.uint64)
+    edges *= np.uint64(vertex_count)
+    edges += np.maximum(first, second).astype(np.uint64)
+    index_bits = np.uint64(max(1, int(len(half_edges) - 1).bit_length()))
+    if int(index_bits) + int(vertex_count * vertex_count).bit_length() <= 64:
+        # Edge and index in one number: sorting it is several times faster than an argsort.
+        edges <<= index_bits
+        edges |= np.arange(len(edges), dtype=np.uint64)
+        edges.sort()
+        order = (edges & np.uint64((1 << int(index_bits)) - 1)).astype(np.int64)
+        edges >>= index_bits
+    else:
+        order = np.argsort(edges, kind='stable')
+        edges = edges[order]
+    same = np.zeros(len(edges) + 1, dtype=bool)
+    np.equal(edges[1:], edges[:-1], out=same[1:-1])
+    # Row i is the first of exactly two equal ones.
+    first = ~same[:-1]
+    first &= same[1:]
+    first[:-1] &= ~same[2:]
+    pairs = np.flatnonzero(first)
+    _write_pairs(twins, half_edges[order[pairs]], half_edges[order[pairs + 1]], origins, keys)
+    third = same[1:-1] & same[:-2]
+    if not third.any():
+        return
+    group = np.cumsum(~same[:-1]) - 1
+    # Three faces or more at one edge, a wall on a floor: those of one plane belong together.
+    crowded = np.zeros(len(edges), dtype=bool)
+    crowded[group[np.flatnonzero(third)]] = True
+    rows = np.flatnonzero(crowded[group])
+    members = half_edges[order[rows]]
+    by_plane = np.lexsort((cells[members // 3], keys[members // 3], edges[rows]))
+    members, edges = members[by_plane], edges[rows][by_plane]
+    faces = members // 3
+    alike = (edges[1:] == edges[:-1]) & (keys[faces[1:]] == keys[faces[:-1]]) & (cells[faces[1:]] == cells[faces[:-1]])
+    # Exactly two of one plane: more would be coincident faces, and which one continues which is anybody's guess.
+    before, after = np.concatenate([[False], alike[:-1]]), np.concatenate([alike[1:], [False]])
+    alone = np.flatnonzero(alike & ~before & ~after)
+    _write_pairs(twins, members[alone], members[alone + 1], origins, keys)
+
+
+def _write_pairs(twins, a, b, origins, keys):
+    fits = (origins[a] != origins[b]) & (keys[a // 3] == keys[b // 3])
+    a, b = a[fits], b[fits]
+    twins[a], twins[b] = b, a
+
+
+def _weld(weld, vertices, on_border, elsewhere):
+    """Give border vertices at one position one number, and those of other triangles there too; whether any changed."""
+    rows = np.flatnonzero(on_border)
+    hashes = _position_hashes(vertices[rows])
+    table = np.zeros(1 << 22, dtype=bool)
+    shift = np.uint64(42)
+    table[(hashes >> shift).astype(np.int64)] = True
+    others = np.flatnonzero(elsewhere & ~on_border)
+    other_hashes = _position_hashes(vertices[others])
+    met = table[(other_hashes >> shift).astype(np.int64)]
+    rows = np.concatenate([rows, others[met]])
+    hashes = np.concatenate([hashes, other_hashes[met]])
+    by_row = np.argsort(rows, kind='stable')
+    rows, hashes = rows[by_row], hashes[by_row]
+    order = np.argsort(hashes, kind='stable')
+    rows, hashes = rows[order], hashes[order]
+    new = np.concatenate([[True], hashes[1:] != hashes[:-1]])
+    leaders = rows[np.maximum.accumulate(np.where(new, np.arange(len(rows)), 0))]
+    equal = (vertices[rows] == vertices[leaders]).all(axis=1)
+    weld[rows[equal]] = leaders[equal]
+    return bool((weld[rows] != rows).any())
+
+
+def _position_hashes(positions):
+    bits = np.ascontiguousarray(positions + 0.0).view(np.uint64)  # + 0.0: minus zero is zero
+    mixed = np.zeros(len(bits), dtype=np.uint64)
+    for axis in range(3):
+        mixed = (mixed ^ bits[:, axis]) * _MIX[axis]
+        mixed ^= mixed >> np.uint64(31)
+    return mixed * _MIX[0]
+
+
+def _links(vertices, corners, cells, twins, size, strict):
+    """(k, 3) the neighbor across each edge that may share the region, the triangle itself where none may."""
+    own = np.repeat(np.arange(len(corners)), 3)
+    other = np.where(twins >= 0, twins // 3, own)
+    links = other != own
+    doubt = np.flatnonzero(links if strict else links & (cells[own] != cells[other]))
+    if len(doubt):
+        normal, base = _unit_normals(vertices, corners[own[doubt]])
+        other_normal, _ = _unit_normals(vertices, corners[other[doubt]])
+        twin = twins[doubt]
+        apex = vertices[corners.ravel()[twin // 3 * 3 + (twin + 2) % 3]]
+        height = np.abs(np.einsum('ij,ij->i', normal, apex - base))
+        reach = np.abs(apex - base).max(axis=1)
+        allowed = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * reach + ROUNDING * np.abs(apex).max(axis=1))
+        # The angle too: among triangles smaller than the tolerance, heights say nothing.
+        bent = (height > allowed) | (np.einsum('ij,ij->i', normal, other_normal) < LARGEST_BEND)
+        links[doubt[bent]] = False
+        links[twin[bent]] = False
+    return np.where(links, other, own).reshape(-1, 3)
+
+
+def _unit_normals(vertices, corners):
+    base = vertices[corners[:, 0]]
+    normals = np.cross(vertices[corners[:, 1]] - base, vertices[corners[:, 2]] - base)
+    return normals / np.linalg.norm(normals, axis=1)[:, None], base
+
+
+def _components(neighbors):
+    """Smallest triangle of the connected part that each triangle belongs to, from (k, 3) symmetric neighbors."""
+    count = len(neighbors)
+    parents = _flatten(neighbors.min(axis=1))
+    own = np.repeat(np.arange(count), 3)
+    other = neighbors.ravel()
+    crossing = np.flatnonzero(parents[own] != parents[other])
+    while len(crossing):
+        a, b = parents[own[crossing]], parents[other[crossing]]
+        # Any of several writers may win: each sets a root's parent to a smaller root, which can never close a circle,
+        # and in the end the smallest is everybody's parent.
+        parents[np.maximum(a, b)] = np.minimum(a, b)
+        parents = _flatten(parents)
+        crossing = crossing[parents[own[crossing]] != parents[other[crossing]]]
+    return parents
+
+
+def _flatten(parents):
+    while True:
+        grand = parents[parents]
+        if np.array_equal(grand, parents):
+            return parents
+        parents = grand
+
+
+def _planes(vertices, corners, labels, count, size):
+    """Normals (count, 3), tolerances (count,) and whether each region lies in its plane, for labels below `count`."""
+    rows = np.flatnonzero(labels >= 0)
+    labels = labels[rows]
+    # A radix sort, where the numbers fit into 16 bits.
+    order = np.argsort(labels.astype(np.uint16 if count <= 1 << 16 else np.int64), kind='stable')
+    rows, labels = rows[order], labels[order]
+    starts = np.searchsorted(labels, np.arange(count))
+    ends = np.append(starts, len(rows))
+    normals, tolerances, flat = np.zeros((count, 3)), np.zeros(count), np.zeros(count, dtype=bool)
+    bounds = np.append(np.unique(np.searchsorted(starts, np.arange(0, len(rows), _CHUNK))), count)
+    for first, last in itertools.pairwise(bounds):
+        if first == last:
+            continue
+        block, part = slice(first, last), slice(ends[first], ends[last])
+        inner, which, members = starts[block] - ends[first], labels[part] - first, corners[rows[part]]
+        # Seen from the region's first corner: far from the world's origin the products would lose digits.
+        origin = vertices[members[inner, 0]]
+        x, y, z = (
+            [vertices[:, axis][members[:, corner]] - origin[:, axis][which] for corner in range(3)] for axis in range(3)
+        )
+        areas = _cross(x[1] - x[0], y[1] - y[0], z[1] - z[0], x[2] - x[0], y[2] - y[0], z[2] - z[0])
+        vector = np.stack([np.add.reduceat(area, inner) for area in areas], axis=1)
+        length = np.linalg.norm(vector, axis=1)
+        vector /= np.where(length > 0.0, length, 1.0)[:, None]
+        low = np.stack([_extreme(np.minimum, axis, inner) for axis in (x, y, z)], axis=1)
+        high = np.stack([_extreme(np.maximum, axis, inner) for axis in (x, y, z)], axis=1)
+        nx, ny, nz = (vector[:, axis][which] for axis in range(3))
+        heights = [x[corner] * nx + y[corner] * ny + z[corner] * nz for corner in range(3)]
+        thickness = _extreme(np.maximum, heights, inner) - _extreme(np.minimum, heights, inner)
+        upright = np.minimum.reduceat(areas[0] * nx + areas[1] * ny + areas[2] * nz, inner) > 0.0
+        magnitude = np.maximum(np.abs(low + origin), np.abs(high + origin)).max(axis=1)
+        extent = np.linalg.norm(high - low, axis=1)
+        normals[block] = vector
+        tolerances[block] = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * extent + ROUNDING * magnitude)
+        flat[block] = upright & (thickness <= tolerances[block])
+    return normals, tolerances, flat
+
+
+def _extreme(extreme, columns, starts):
+    return extreme.reduceat(extreme(extreme(columns[0], columns[1]), columns[2]), starts)
+
+
+def _cross(ax, ay, az, bx, by, bz):
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+def _measure(vertices, corners, parts, size):
+    """Consecutive numbers for connected parts; of each, whether it is worth a look and flat, its normal, tolerance."""
+    present = np.zeros(len(parts), dtype=bool)
+    present[parts] = True
+    labels = (np.cumsum(present) - 1)[parts]
+    big = np.bincount(labels) >= SMALLEST_REGION
+    flat = np.zeros(len(big), dtype=bool)
+    normals, tolerances = np.zeros((len(big), 3)), np.zeros(len(big))
+    if big.any():
+        chosen = np.where(big, np.cumsum(big) - 1, -1)[labels]
+        normals[big], tolerances[big], flat[big] = _planes(vertices, corners, chosen, int(big.sum()), size)
+    return labels, big, flat, normals, tolerances

@@ -39,7 +39,7 @@ def probe_error(
     alone = np.empty((0, 2), np.int32)
     lit, rays = _finish(
         direct_light(
-            solution.tracer, solution.lights, points, normals, alone, shadow, solution.pool, seed + 1, first=shadow
+            solution.tracer, solution.lights, points, normals, alone, shadow, solution.pool, seed + 1, everywhere=True
         )
     )
     seen = _finish(

@@ -66,3 +66,7 @@ class AreaLight:
         square = np.einsum("nci,nci->nc", segments, segments)
         along = np.einsum("nci,ni->nc", segments, normals)
         return segments, np.maximum(along, 0) / np.maximum(square, 1e-30) ** 2
+
+    def scout(self, points: np.ndarray) -> np.ndarray:
+        """See `Light.scout`."""
+        return sampling.polygon_scouts(np.asarray(self.vertices, dtype=float)) - points[:, None]

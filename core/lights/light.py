@@ -43,3 +43,8 @@ class Light(Protocol):
         """Segments (n, count, 3) from the points to well-spread places on the light, and the weights (n, count) of
         their contributions, not normalized, 0 where a place gives nothing."""
         ...
+
+    def scout(self, points: np.ndarray) -> np.ndarray:
+        """Segments (n, s, 3) from the points to the middle and the rim of the light: where they agree, and agree with
+        those of the neighbors, the light is wholly seen or wholly hidden, unless something small stands between."""
+        ...

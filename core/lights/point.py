@@ -76,6 +76,14 @@ class PointLight:
         towards = np.asarray(self.position, dtype=float) - points
         if self.is_sharp:
             return towards[:, None], np.ones((len(points), 1))
-        directions = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-        segments = towards[:, None] + sampling.facing_disks(directions, self.radius, count)
+        segments = self._to_disk(towards, sampling.disk(count))
         return segments, np.maximum(np.einsum("nci,ni->nc", segments, normals), 0)
+
+    def scout(self, points: np.ndarray) -> np.ndarray:
+        """See `Light.scout`."""
+        towards = np.asarray(self.position, dtype=float) - points
+        return towards[:, None] if self.is_sharp else self._to_disk(towards, sampling.disk_scouts())
+
+    def _to_disk(self, towards: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+        directions = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+        return towards[:, None] + sampling.facing_disks(directions, pattern * self.radius)

@@ -55,11 +55,26 @@ def polygon(vertices: np.ndarray, count: int) -> np.ndarray:
     return np.einsum("ck,cki->ci", weights, fan[which])
 
 
-def facing_disks(directions: np.ndarray, radius: float, count: int) -> np.ndarray:
-    """(n, count, 3) points of disks around the origin that face the (n, 3) unit `directions`."""
+#: Part of the way from the middle to the rim at which scouts look: on the rim itself they would graze the lamp's frame.
+RIM = 0.98
+
+
+def disk_scouts() -> np.ndarray:
+    """(5, 2) the middle of the unit disk and four places on its rim."""
+    return np.array([[0, 0], [RIM, 0], [0, RIM], [-RIM, 0], [0, -RIM]])
+
+
+def polygon_scouts(vertices: np.ndarray) -> np.ndarray:
+    """(s, 3) the middle of a convex polygon (k, 3) and its corners, four of them where it has more."""
+    middle = vertices.mean(axis=0)
+    corners = vertices if len(vertices) <= 4 else vertices[(np.arange(4) * len(vertices)) // 4]
+    return np.concatenate([middle[None], middle + RIM * (corners - middle)])
+
+
+def facing_disks(directions: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+    """(n, count, 3) the places `pattern` (count, 2) of disks around the origin that face the (n, 3) unit `directions`."""
     helper = np.where(np.abs(directions[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     across = np.cross(directions, helper)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     up = np.cross(across, directions)
-    pattern = disk(count) * radius
     return pattern[:, 0, None] * across[:, None] + pattern[:, 1, None] * up[:, None]

@@ -67,3 +67,7 @@ class SpotLight:
     def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """See `Light.aim`."""
         return self._lamp.aim(points, normals, count)
+
+    def scout(self, points: np.ndarray) -> np.ndarray:
+        """See `Light.scout`."""
+        return self._lamp.scout(points)

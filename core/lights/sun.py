@@ -53,9 +53,15 @@ class SunLight:
 
     def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """See `Light.aim`: segments of length `REACH` units, so the scene must be in its unit frame."""
+        rays = self._rays(sampling.disk(1 if self.is_sharp else count))
+        return np.broadcast_to(rays * REACH, (len(points), *rays.shape)), np.maximum(normals @ rays.T, 0)
+
+    def scout(self, points: np.ndarray) -> np.ndarray:
+        """See `Light.scout`."""
+        rays = self._rays(sampling.disk(1) if self.is_sharp else sampling.disk_scouts())
+        return np.broadcast_to(rays * REACH, (len(points), *rays.shape))
+
+    def _rays(self, pattern: np.ndarray) -> np.ndarray:
         direction = np.asarray(self.direction, dtype=float)[None]
-        count = 1 if self.is_sharp else count
-        rays = direction + sampling.facing_disks(direction, np.tan(self.angle / 2), count)[0]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        segments = np.broadcast_to(rays * REACH, (len(points), count, 3))
-        return segments, np.maximum(normals @ rays.T, 0)
+        rays = direction + sampling.facing_disks(direction, pattern * np.tan(self.angle / 2))[0]
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)

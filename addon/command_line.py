@@ -16,7 +16,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -174,7 +174,12 @@ def overrides(arguments: argparse.Namespace) -> dict[str, object]:
     return {new: getattr(arguments, old) for old, new in _OVERRIDES.items() if getattr(arguments, old) is not None}
 
 
-def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path | None = None) -> int:
+def main(
+    argv: Sequence[str],
+    program: str = "python -m radiosity",
+    opened: Path | None = None,
+    session: AbstractContextManager | None = None,
+) -> int:
     """Run the command and return its exit status.
 
     Parameters
@@ -185,6 +190,8 @@ def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path
         How the command was called, for usage texts.
     opened : Path or None
         The scene file that Blender has open, which is baked when no other is named.
+    session : context manager or None
+        Entered when the arguments are in order and Blender is needed: registers the add-on where it is not.
     """
     parser = build_parser(program, may_be_open=opened is not None)
     try:
@@ -198,7 +205,7 @@ def main(argv: Sequence[str], program: str = "python -m radiosity", opened: Path
 
     from .adapters.console import own_output  # after the checks: Blender takes a second to load
 
-    with own_output(arguments.verbose) as stream, _registered(), _interruptible():
+    with own_output(arguments.verbose) as stream, session or nullcontext(), _interruptible():
         try:
             given = overrides(arguments)
             _check(given)
@@ -282,24 +289,6 @@ def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
         line.clear()
     name = task.source or bpy.data.filepath
     return f"{name}: baked -> {', '.join(str(path) for path in task.results)}"
-
-
-@contextmanager
-def _registered() -> Iterator[None]:
-    """The add-on is registered while a command runs; inside Blender it is already."""
-    import bpy
-
-    from . import register as register_all
-    from . import unregister as unregister_all
-
-    if hasattr(bpy.types.Scene, "radiosity"):
-        yield
-        return
-    register_all()
-    try:
-        yield
-    finally:
-        unregister_all()
 
 
 @contextmanager

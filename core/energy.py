@@ -52,7 +52,8 @@ def energy_balance(
     """
     matrix = np.asarray(form_factors, dtype=np.float64)
     reflectance, emission, radiosity = (
-        a[:, None] if a.ndim == 1 else a for a in (np.asarray(v, dtype=np.float64) for v in (reflectance, emission, radiosity))
+        a[:, None] if a.ndim == 1 else a
+        for a in (np.asarray(v, dtype=np.float64) for v in (reflectance, emission, radiosity))
     )
     areas = np.asarray(areas, dtype=np.float64)
     emitted = areas @ np.broadcast_to(emission, radiosity.shape)

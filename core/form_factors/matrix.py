@@ -1,0 +1,187 @@
+"""The form-factor matrix of an environment, by any method."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..environment import Environment
+from ..errors import SceneTooLargeError, SettingsError
+from .hemisphere import SampledRows, hemisphere_rows
+from .identities import closure_error, reciprocity_error, repair
+from .quadrature import quadrature_rows
+
+#: Matrix entries beyond which a matrix is refused: 8 GiB each for the factors and the copy that repairs them.
+LARGEST_MATRIX = 2**30
+
+#: Share of a patch's power that may escape, per unit of accuracy asked for, while the scene still counts as closed. A
+#: tenth, beside what a method loses at seams by itself: an opening that small changes no factor by the accuracy.
+CLOSED_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to fill a matrix.
+
+    ``compute(environment, visibility, accuracy, seed, threads, **options)`` returns `SampledRows`; `visibilities` are
+    the names it accepts, the first being what ``auto`` takes; `options` are the names of its own options.
+    """
+
+    compute: Callable[..., SampledRows]
+    visibilities: tuple[str, ...]
+    options: tuple[str, ...] = ()
+
+
+def _hemisphere(environment, visibility, accuracy, seed, threads):
+    return hemisphere_rows(environment, accuracy, seed, threads)
+
+
+#: Methods by name; a new technique adds its entry here.
+METHODS: dict[str, Method] = {
+    "hemisphere": Method(_hemisphere, ("embree",)),
+    "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
+}
+
+#: What ``auto`` takes.
+DEFAULT_METHOD = "hemisphere"
+
+
+@dataclass(frozen=True)
+class FormFactors:
+    """Form factors of an environment.
+
+    Attributes
+    ----------
+    matrix : (n, n) float64
+        Share of the power leaving the row's patch that reaches the column's.
+    escaped : (n,) float64
+        Share that reaches no patch, as measured; 0 in closed scenes.
+    closed : bool
+        Whether the scene was found closed, so that rows were made to sum to 1.
+    seconds : float
+    rays : int
+    method_counts : dict of str to int
+        Rows computed by each method.
+    closure_error : float
+        Largest ``|row sum + escaped - 1|`` of `matrix`.
+    reciprocity_error : float
+        Largest ``|A_i F_ij - A_j F_ji|`` of `matrix` over the smaller area.
+    estimated_error : float
+        Standard error of the worst factor as computed, before the repair, which lowers it.
+    raw_closure_error, raw_reciprocity_error : float
+        The same two before the repair: how far the method alone was off.
+    """
+
+    matrix: np.ndarray
+    escaped: np.ndarray
+    closed: bool
+    seconds: float
+    rays: int
+    method_counts: dict[str, int]
+    closure_error: float
+    reciprocity_error: float
+    estimated_error: float
+    raw_closure_error: float
+    raw_reciprocity_error: float
+
+
+def find_method(name: str, visibility: str, options: dict) -> tuple[str, Method, str]:
+    """Name, method and visibility meant by a choice of names.
+
+    Raises
+    ------
+    SettingsError
+        If a name is unknown, or the method does not take that visibility or option.
+    """
+    chosen = DEFAULT_METHOD if name == "auto" else name
+    if chosen not in METHODS:
+        raise SettingsError(f"Unknown form-factor method {name!r}: choose auto, {', '.join(METHODS)}")
+    method = METHODS[chosen]
+    if visibility != "auto" and visibility not in method.visibilities:
+        raise SettingsError(
+            f"Visibility {visibility!r} does not exist for {chosen}: choose auto, {', '.join(method.visibilities)}"
+        )
+    for option in options:
+        if option not in method.options:
+            known = f": choose {', '.join(method.options)}" if method.options else ", it has none"
+            raise SettingsError(f"Unknown option {option!r} of method {chosen}{known}")
+    return chosen, method, method.visibilities[0] if visibility == "auto" else visibility
+
+
+def check_accuracy(accuracy: float) -> None:
+    """Raise SettingsError unless `accuracy` lies above 0 and below 1."""
+    if not 0 < accuracy < 1:
+        raise SettingsError(f"Accuracy of form factors must lie between 0 and 1, not {accuracy}")
+
+
+def form_factors(
+    environment: Environment,
+    method: str = "auto",
+    visibility: str = "auto",
+    accuracy: float = 1e-3,
+    seed: int = 0,
+    threads: int = 0,
+    **options,
+) -> FormFactors:
+    """Form factors between all patches of an environment, with both identities repaired.
+
+    Parameters
+    ----------
+    environment : Environment
+    method : str
+        ``auto``, ``hemisphere`` or ``point_to_polygon``.
+    visibility : str
+        ``auto``, ``embree`` or, for point_to_polygon where nothing can occlude, ``none``.
+    accuracy : float
+        Standard error wanted for the worst factor, as an absolute number.
+    seed : int
+        Same input and seed give the same matrix.
+    threads : int
+        Threads of the ray engine; 0 takes all cores. The result does not depend on it.
+    **options
+        Options of the method.
+
+    Returns
+    -------
+    FormFactors
+
+    Raises
+    ------
+    SettingsError
+        If a name is unknown or a value out of range.
+    SceneTooLargeError
+        If the matrix would not fit.
+    MissingRayEngineError
+        If rays are needed and cannot be traced on this platform.
+    """
+    begin = time.perf_counter()
+    check_accuracy(accuracy)
+    name, chosen, visibility = find_method(method, visibility, options)
+    count = len(environment)
+    if count * count > LARGEST_MATRIX:
+        raise SceneTooLargeError(
+            f"{count} patches need a matrix of {count * count * 8 / 2**30:.1f} GiB, more than "
+            f"{LARGEST_MATRIX * 8 / 2**30:.0f}: use fewer than {int(LARGEST_MATRIX**0.5)} patches"
+        )
+    rows = chosen.compute(environment, visibility, accuracy, seed, threads, **options)
+    areas = environment.areas
+    tight = rows.escaped <= CLOSED_SHARE * accuracy + rows.leaks
+    closed = bool((areas > 0).any() and tight[areas > 0].all())
+    matrix = repair(rows.matrix, areas, closed, rows.samples)
+    escaped = np.zeros(count) if closed else rows.escaped
+    return FormFactors(
+        matrix=matrix,
+        escaped=escaped,
+        closed=closed,
+        seconds=time.perf_counter() - begin,
+        rays=int(rows.rays),
+        method_counts={name: count},
+        closure_error=closure_error(matrix, escaped, areas),
+        reciprocity_error=reciprocity_error(matrix, areas),
+        estimated_error=float(rows.errors.max(initial=0)),
+        raw_closure_error=closure_error(rows.matrix, rows.escaped, areas),
+        raw_reciprocity_error=reciprocity_error(rows.matrix, areas),
+    )

@@ -1,0 +1,128 @@
+"""Form factor of a single pair of polygons, and configuration factor of a point and a polygon."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..environment import Environment
+from ..errors import SettingsError
+from .hemisphere import hemisphere_rows
+from .identities import repair
+from .matrix import check_accuracy
+from .point_to_polygon import point_to_polygon
+from .quadrature import integrate_pair, sampled_pair, sampled_point
+
+#: Methods for single pairs, by name. The hemisphere needs an environment to cast its rays into; for a pair it is the
+#: matrix of those few polygons.
+PAIR_METHODS = ("point_to_polygon", "hemisphere")
+POINT_METHODS = ("point_to_polygon",)
+
+
+def form_factor(
+    polygon_a: np.ndarray,
+    polygon_b: np.ndarray,
+    blockers: Sequence[np.ndarray] = (),
+    method: str = "auto",
+    accuracy: float = 1e-3,
+    seed: int = 0,
+) -> float:
+    """Share of the power leaving the front of one polygon that reaches the front of another.
+
+    Parameters
+    ----------
+    polygon_a, polygon_b : (k, 3) float
+        Planar loops, counter-clockwise seen from their fronts.
+    blockers : sequence of (k, 3) float
+        Polygons that block from both sides.
+    method : str
+        ``auto``, ``point_to_polygon`` or ``hemisphere``.
+    accuracy : float
+        Error wanted, as an absolute number; a standard error where rays are cast.
+    seed : int
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    SettingsError
+        If the method is unknown or the accuracy out of range.
+    InvalidPolygonError
+        If a polygon is malformed; the two polygons count as 0 and 1, blockers from 2.
+    """
+    check_accuracy(accuracy)
+    chosen = _choose(method, PAIR_METHODS)
+    environment = Environment.from_polygons([polygon_a, polygon_b, *blockers])
+    areas = environment.areas
+    if areas[0] <= 0 or areas[1] <= 0:
+        return 0.0
+    if chosen == "hemisphere":
+        rows = hemisphere_rows(environment, accuracy, seed)
+        return float(repair(rows.matrix, areas, False, rows.samples)[0, 1])
+    # Sampling the smaller polygon needs fewer points, and reciprocity carries the result over.
+    receiver, source = (0, 1) if areas[0] <= areas[1] else (1, 0)
+    scale = areas[receiver] / areas[0]
+    if len(environment) > 2:
+        factor, _, _ = sampled_pair(environment, receiver, source, accuracy / scale, seed)
+    else:
+        factor, _ = integrate_pair(environment, receiver, source, accuracy / scale)
+    return float(min(max(factor * scale, 0.0), 1.0))
+
+
+def configuration_factor(
+    point: np.ndarray,
+    normal: np.ndarray,
+    polygon: np.ndarray,
+    blockers: Sequence[np.ndarray] = (),
+    method: str = "auto",
+    accuracy: float = 1e-3,
+    seed: int = 0,
+) -> float:
+    """Share of the power leaving a differential area that reaches the front of a polygon.
+
+    Parameters
+    ----------
+    point, normal : (3,) float
+        Place and direction of the area; the normal need not have unit length.
+    polygon : (k, 3) float
+        Planar loop, counter-clockwise seen from its front.
+    blockers : sequence of (k, 3) float
+        Polygons that block from both sides.
+    method : str
+        ``auto`` or ``point_to_polygon``.
+    accuracy : float
+        Standard error wanted, as an absolute number, where there are blockers; exact without.
+    seed : int
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    SettingsError
+        If the method is unknown, the accuracy out of range, or point or normal unusable.
+    InvalidPolygonError
+        If a polygon is malformed; the polygon counts as 0, blockers from 1.
+    """
+    check_accuracy(accuracy)
+    _choose(method, POINT_METHODS)
+    point, normal = (np.asarray(v, dtype=np.float64) for v in (point, normal))
+    if point.shape != (3,) or normal.shape != (3,) or not np.isfinite([*point, *normal]).all() or not normal.any():
+        raise SettingsError("Point and normal must be three finite numbers each, and the normal not zero")
+    normal = normal / np.abs(normal).max()
+    normal = normal / np.linalg.norm(normal)
+    environment = Environment.from_polygons([polygon, *blockers])
+    if len(environment) > 1:
+        return sampled_point(environment, point, normal, 0, accuracy, seed)[0]
+    return float(point_to_polygon(point[None], normal[None], environment.polygons[0])[0])
+
+
+def _choose(method: str, known: tuple[str, ...]) -> str:
+    chosen = known[0] if method == "auto" else method
+    if chosen not in known:
+        raise SettingsError(f"Unknown form-factor method {method!r}: choose auto, {', '.join(known)}")
+    return chosen

@@ -139,9 +139,9 @@ def _merge_regions(vertices, triangles, regions: PlanarRegions):
 
 def _trace_borders(vertices, regions: PlanarRegions, count):
     """Borders in order, and which regions have borders that close."""
-    origins, targets, owners = regions.border_origins, regions.border_targets, regions.border_regions
-    code = owners * len(vertices)
-    order = np.argsort(code + origins, kind='stable')
+    origins, targets = regions.border_origins, regions.border_targets
+    owners = regions.border_regions.astype(np.int64)
+    order = np.argsort(owners * len(vertices) + origins, kind='stable')
     origins, targets, owners = origins[order], targets[order], owners[order]
     leaving = owners * len(vertices) + origins
     arriving = owners * len(vertices) + targets

@@ -43,17 +43,17 @@ class PlanarRegions:
     ----------
     triangles : (k,) int64
         Triangles that were looked at; all others share their plane with nobody.
-    labels : (k,) int64
+    labels : (k,) int32
         Region of each of them, -1 for none.
     normals : (r, 3) float64
         Unit normal of each region.
     tolerances : (r,) float64
         How far the surface may move at each region, in scene units.
-    border_origins, border_targets : (b,) int64
+    border_origins, border_targets : (b,) int32
         Vertices of the half-edges on the borders of regions, the region to their left, vertices at equal positions
         given one number.
-    border_regions : (b,) int64
-    weld : (n,) int64
+    border_regions : (b,) int32
+    weld : (n,) int32
         That number for each vertex of the mesh, a row of the vertices.
     """
 
@@ -90,7 +90,7 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
         return None
     cells = cells[candidates]
     keys = np.asarray(keys)[candidates]
-    corners = triangles[candidates].astype(np.int64)
+    corners = triangles[candidates]
     twins, weld = _match_edges(vertices, triangles, candidates, corners, keys, cells)
     links = _links(vertices, corners, cells, twins, size, strict=False)
     labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
@@ -102,18 +102,17 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
         labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
     if not flat.any():
         return None
-    labels = np.where(flat, np.cumsum(flat) - 1, -1)[labels]
-    twin_labels = np.where(twins >= 0, labels[twins // 3], -2)
-    own_labels = np.repeat(labels, 3)
-    half_edges = np.flatnonzero((own_labels >= 0) & (own_labels != twin_labels))
+    labels = np.where(flat, np.cumsum(flat) - 1, -1).astype(np.int32)[labels]
+    twin_labels = np.where(twins >= 0, labels[twins // 3], -2).reshape(-1, 3)
+    half_edges = np.flatnonzero((twin_labels != labels[:, None]).ravel() & np.repeat(labels >= 0, 3))
     return PlanarRegions(
         triangles=candidates,
         labels=labels,
         normals=planes[flat],
         tolerances=tolerances[flat],
         border_origins=weld[corners.ravel()[half_edges]],
-        border_targets=weld[np.roll(corners, -1, axis=1).ravel()[half_edges]],
-        border_regions=own_labels[half_edges],
+        border_targets=weld[corners.ravel()[_next_corner(half_edges)]],
+        border_regions=labels[half_edges // 3],
         weld=weld,
     )
 
@@ -183,43 +182,48 @@ def _match_edges(vertices, triangles, candidates, corners, keys, cells):
     UVs. Welding is dear, so it is done for those that lie on an edge without a twin.
     """
     origins = corners.ravel()
-    targets = np.roll(corners, -1, axis=1).ravel()
-    twins = np.full(len(origins), -1, dtype=np.int64)
-    every = np.arange(len(origins))
-    _pair(twins, every, origins, targets, keys, cells, len(vertices))
-    open_edges = np.flatnonzero(twins < 0)
-    weld = np.arange(len(vertices))
+    twins = np.full(len(origins), -1, dtype=np.int32)
+    _pair(twins, np.arange(len(origins), dtype=np.int32), corners, keys, cells, len(vertices))
+    open_edges = np.flatnonzero(twins < 0).astype(np.int32)
+    weld = np.arange(len(vertices), dtype=np.int32)
     if len(open_edges) == 0:
         return twins, weld
     on_border = np.zeros(len(vertices), dtype=bool)
     on_border[origins[open_edges]] = True
-    on_border[targets[open_edges]] = True
+    on_border[origins[_next_corner(open_edges)]] = True
     others = np.ones(len(triangles), dtype=bool)
     others[candidates] = False
     elsewhere = np.zeros(len(vertices), dtype=bool)
     elsewhere[triangles[others].ravel()] = True
     if _weld(weld, vertices, on_border, elsewhere):
-        _pair(twins, open_edges, weld[origins], weld[targets], keys, cells, len(vertices))
+        _pair(twins, open_edges, weld[corners], keys, cells, len(vertices))
     return twins, weld
 
 
-def _pair(twins, half_edges, origins, targets, keys, cells, vertex_count):
+def _next_corner(half_edges):
+    """Half-edges that follow in the same triangle."""
+    return half_edges + np.where(half_edges % 3 == 2, -2, 1).astype(half_edges.dtype)
+
+
+def _pair(twins, half_edges, corners, keys, cells, vertex_count):
     """Write the twins of `half_edges`: the same edge run the other way by a triangle with the same key."""
-    first, second = origins[half_edges], targets[half_edges]
+    origins = corners.ravel()
+    first, second = origins[half_edges], origins[_next_corner(half_edges)]
     edges = np.minimum(first, second).astype(np.uint64)
     edges *= np.uint64(vertex_count)
     edges += np.maximum(first, second).astype(np.uint64)
+    del first, second
     index_bits = np.uint64(max(1, int(len(half_edges) - 1).bit_length()))
     if int(index_bits) + int(vertex_count * vertex_count).bit_length() <= 64:
         # Edge and index in one number: sorting it is several times faster than an argsort.
         edges <<= index_bits
         edges |= np.arange(len(edges), dtype=np.uint64)
         edges.sort()
-        order = (edges & np.uint64((1 << int(index_bits)) - 1)).astype(np.int64)
+        order = half_edges[(edges & np.uint64((1 << int(index_bits)) - 1)).astype(np.int32)]
         edges >>= index_bits
     else:
         order = np.argsort(edges, kind='stable')
-        edges = edges[order]
+        edges, order = edges[order], half_edges[order]
     same = np.zeros(len(edges) + 1, dtype=bool)
     np.equal(edges[1:], edges[:-1], out=same[1:-1])
     # Row i is the first of exactly two equal ones.
@@ -227,7 +231,7 @@ def _pair(twins, half_edges, origins, targets, keys, cells, vertex_count):
     first &= same[1:]
     first[:-1] &= ~same[2:]
     pairs = np.flatnonzero(first)
-    _write_pairs(twins, half_edges[order[pairs]], half_edges[order[pairs + 1]], origins, keys)
+    _write_pairs(twins, order[pairs], order[pairs + 1], origins, keys)
     third = same[1:-1] & same[:-2]
     if not third.any():
         return
@@ -236,7 +240,7 @@ def _pair(twins, half_edges, origins, targets, keys, cells, vertex_count):
     crowded = np.zeros(len(edges), dtype=bool)
     crowded[group[np.flatnonzero(third)]] = True
     rows = np.flatnonzero(crowded[group])
-    members = half_edges[order[rows]]
+    members = order[rows]
     by_plane = np.lexsort((cells[members // 3], keys[members // 3], edges[rows]))
     members, edges = members[by_plane], edges[rows][by_plane]
     faces = members // 3
@@ -287,23 +291,24 @@ def _position_hashes(positions):
 
 def _links(vertices, corners, cells, twins, size, strict):
     """(k, 3) the neighbor across each edge that may share the region, the triangle itself where none may."""
-    own = np.repeat(np.arange(len(corners)), 3)
+    own = np.arange(len(corners), dtype=np.int32)[:, None]
+    twins = twins.reshape(-1, 3)
     other = np.where(twins >= 0, twins // 3, own)
     links = other != own
-    doubt = np.flatnonzero(links if strict else links & (cells[own] != cells[other]))
+    doubt = np.flatnonzero(links if strict else links & (cells[:, None] != cells[other]))
     if len(doubt):
-        normal, base = _unit_normals(vertices, corners[own[doubt]])
-        other_normal, _ = _unit_normals(vertices, corners[other[doubt]])
-        twin = twins[doubt]
+        normal, base = _unit_normals(vertices, corners[doubt // 3])
+        other_normal, _ = _unit_normals(vertices, corners[other.ravel()[doubt]])
+        twin = twins.ravel()[doubt]
         apex = vertices[corners.ravel()[twin // 3 * 3 + (twin + 2) % 3]]
         height = np.abs(np.einsum('ij,ij->i', normal, apex - base))
         reach = np.abs(apex - base).max(axis=1)
         allowed = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * reach + ROUNDING * np.abs(apex).max(axis=1))
         # The angle too: among triangles smaller than the tolerance, heights say nothing.
         bent = (height > allowed) | (np.einsum('ij,ij->i', normal, other_normal) < LARGEST_BEND)
-        links[doubt[bent]] = False
-        links[twin[bent]] = False
-    return np.where(links, other, own).reshape(-1, 3)
+        links.ravel()[doubt[bent]] = False
+        links.ravel()[twin[bent]] = False
+    return np.where(links, other, own)
 
 
 def _unit_normals(vertices, corners):
@@ -314,18 +319,17 @@ def _unit_normals(vertices, corners):
 
 def _components(neighbors):
     """Smallest triangle of the connected part that each triangle belongs to, from (k, 3) symmetric neighbors."""
-    count = len(neighbors)
     parents = _flatten(neighbors.min(axis=1))
-    own = np.repeat(np.arange(count), 3)
-    other = neighbors.ravel()
-    crossing = np.flatnonzero(parents[own] != parents[other])
-    while len(crossing):
-        a, b = parents[own[crossing]], parents[other[crossing]]
+    crossing = np.flatnonzero(parents[:, None] != parents[neighbors])
+    own, other = crossing // 3, neighbors.ravel()[crossing]
+    while len(own):
+        a, b = parents[own], parents[other]
         # Any of several writers may win: each sets a root's parent to a smaller root, which can never close a circle,
         # and in the end the smallest is everybody's parent.
         parents[np.maximum(a, b)] = np.minimum(a, b)
         parents = _flatten(parents)
-        crossing = crossing[parents[own[crossing]] != parents[other[crossing]]]
+        apart = parents[own] != parents[other]
+        own, other = own[apart], other[apart]
     return parents
 
 
@@ -388,11 +392,11 @@ def _measure(vertices, corners, parts, size):
     """Consecutive numbers for connected parts; of each, whether it is worth a look and flat, its normal, tolerance."""
     present = np.zeros(len(parts), dtype=bool)
     present[parts] = True
-    labels = (np.cumsum(present) - 1)[parts]
+    labels = (np.cumsum(present) - 1).astype(np.int32)[parts]
     big = np.bincount(labels) >= SMALLEST_REGION
     flat = np.zeros(len(big), dtype=bool)
     normals, tolerances = np.zeros((len(big), 3)), np.zeros(len(big))
     if big.any():
-        chosen = np.where(big, np.cumsum(big) - 1, -1)[labels]
+        chosen = np.where(big, np.cumsum(big) - 1, -1).astype(np.int32)[labels]
         normals[big], tolerances[big], flat[big] = _planes(vertices, corners, chosen, int(big.sum()), size)
     return labels, big, flat, normals, tolerances

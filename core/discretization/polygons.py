@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-
 # Twice the area of a triangle that counts as a line, in units of the polygon's extent squared: a thousand times what
 # doubles resolve there, so that a cut never runs through another corner by rounding.
 FLAT = 1e-12

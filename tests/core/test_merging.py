@@ -129,6 +129,20 @@ def test_floor_with_holes_keeps_its_holes():
     assert np.array_equal(covering(points, vertices, merged.triangles), covering(points, vertices, triangles))
 
 
+def test_holes_that_touch_at_a_corner():
+    """Twelve visits of eleven corners around a square with two holes: Euler's formula leaves 12 triangles."""
+
+    def hole(a, b):
+        return (abs(a - 0.5) < 0.25) & (abs(b - 0.5) < 0.25) & ((a < 0.5) == (b < 0.5))
+
+    vertices, triangles = grid((0, 0, 0), (1, 0, 0), (0, 1, 0), 8, 8, hole)
+    keys = np.zeros(len(triangles), dtype=int)
+    merged = merge_coplanar(vertices, triangles.astype(np.int32), keys)
+    assert len(merged.triangles) == 12
+    assert_same_surface(vertices, triangles, keys, merged)
+    assert t_junctions(vertices, merged.triangles) == 0
+
+
 def test_l_shape_becomes_four_triangles():
     vertices, triangles = grid((0, 0, 0), (1, 0, 0), (0, 1, 0), 30, 30, lambda a, b: (a > 0.4) & (b > 0.6))
     keys = np.zeros(len(triangles), dtype=int)

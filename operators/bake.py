@@ -5,6 +5,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..addon.adapters.bake_job import bake_job_steps
 from ..addon.adapters.bake_settings import bake_options
+from ..addon.adapters.report import messages
 from ..addon.properties import bake as bake_properties
 from ..addon.properties.progress import state
 from ..core.errors import RadiosityError
@@ -149,9 +150,8 @@ class RADIOSITY_OT_bake(bpy.types.Operator):
         _redraw_sidebars(context)
 
     def _report_result(self, report):
-        warnings = report["warnings"] + [f"{entry['object']}: {entry['reason']}" for entry in report["skipped"]]
-        if warnings:
-            self.report({'WARNING'}, rpt_("Baked with {:d} warnings: {:s}").format(len(warnings), "; ".join(warnings)))
+        for warning in messages(report):
+            self.report({'WARNING'}, warning)
         self.report({'INFO'}, _closing_line(report))
 
 

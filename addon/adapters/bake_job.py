@@ -8,8 +8,8 @@ writes every mesh or none.
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Generator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,8 +28,9 @@ from .color_attribute import (
 )
 from .memory import MemoryMeter
 from .preview_material import artist_materials
-from .report import make_report, store_report
-from .scene_reader import read_scene
+from .receiver_meshes import choose_receivers
+from .report import listed, make_report, store_report
+from .scene_reader import SceneReading, read_scene
 from .viewport import show_colors
 
 #: Shares of the progress bar before and after the core.
@@ -81,10 +82,9 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     meter = MemoryMeter()
     yield Progress(0.0, "Reading the scene")
     scene_name = context.scene.name
-    with artist_materials(context.scene.objects):
-        reading = read_scene(context, world_strength=options.world_strength)
+    reading = _read(context, options)
     targets = [_target(name) for name in reading.targets]
-    warnings = _check_targets(targets, options)
+    warnings = _check_targets(targets, reading, options)
     read_seconds = time.perf_counter() - start
     meter.sample()
 
@@ -102,16 +102,26 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     end = time.perf_counter()
     report = make_report(
         scene_name=scene_name,
-        counts=reading.counts,
+        counts={**reading.counts, "baked_objects": len(targets)},
         settings=options.as_dict(),
         statistics=result.statistics,
         seconds={"read": read_seconds, "write": end - write_start, "total": end - start},
         memory=meter.result(),
         warnings=warnings,
-        skipped=[{"object": name, "reason": reason} for name, reason in reading.skipped],
+        skipped=_skipped(reading),
     )
     store_report(scene, report)
     return report
+
+
+def _read(context: bpy.types.Context, options: BakeOptions) -> SceneReading:
+    """The scene with the artist's materials, and with a mesh for each object where that is wanted; all put back."""
+    with ExitStack() as stack:
+        stack.enter_context(artist_materials(context.scene.objects))
+        if options.make_single_user:
+            sharing = [bpy.data.objects[name] for name, _receiver in choose_receivers(context, None).shared]
+            stack.callback(_share_again, _make_single_user(sharing))
+        return read_scene(context, world_strength=options.world_strength)
 
 
 def _scaled(steps: Generator[Progress, None, BakeResult], meter: MemoryMeter) -> Generator[Progress, None, BakeResult]:
@@ -134,67 +144,66 @@ def _target(object_name: str) -> _Target:
     return _Target(object_name, mesh.name, len(mesh.vertices), len(mesh.loops))
 
 
-def _check_targets(targets: Sequence[_Target], options: BakeOptions) -> list[str]:
+def _check_targets(targets: Sequence[_Target], reading: SceneReading, options: BakeOptions) -> list[str]:
     """Refuse what cannot be written, before the slow part; returns warnings."""
     warnings = []
-    users = Counter(target.mesh_name for target in targets)
-    for name, count in users.items():
-        if count > 1 and not options.make_single_user:
-            warnings.append(_shared_warning(name, [t.object_name for t in targets if t.mesh_name == name]))
+    overwritten = []
+    name = options.attribute_name
     for target in targets:
         obj = bpy.data.objects[target.object_name]
-        check_writable(obj.data, options.attribute_name, [group.name for group in obj.vertex_groups])
-        if is_color_attribute(obj.data, options.attribute_name) and options.attribute_name not in baked_attributes(
-            obj.data
-        ):
+        check_writable(obj.data, name, [group.name for group in obj.vertex_groups])
+        if is_color_attribute(obj.data, name) and name not in baked_attributes(obj.data):
+            overwritten.append(obj.data.name)
+    if overwritten:
+        warnings.append(f"A color attribute {name!r} that no bake had made was overwritten on: {listed(overwritten)}")
+    if not options.make_single_user:
+        meshes = {bpy.data.objects[target.object_name].data for target in targets}
+        crowded = {mesh for mesh in meshes if mesh.users - mesh.use_fake_user > 1}
+        # Those that were asked for are named among the skipped.
+        known = {*(target.object_name for target in targets), *(name for name, _receiver in reading.shared)}
+        sharing = [obj.name for obj in bpy.data.objects if obj.data in crowded and obj.name not in known]
+        if sharing:
             warnings.append(
-                f"Mesh {target.mesh_name!r} already had a color attribute {options.attribute_name!r} that no bake "
-                "made: it was overwritten"
+                "These objects share their mesh with a baked one and show its light: "
+                f"{listed(sharing)}. Turn on Make Single User to keep them apart"
             )
-    return list(dict.fromkeys(warnings))
+    return warnings
 
 
-def _shared_warning(mesh_name: str, objects: list[str]) -> str:
-    return (
-        f"Mesh {mesh_name!r} is shared by {len(objects)} objects, which all show the light of {objects[0]!r}: "
-        "turn on Make Single User to bake each"
-    )
+def _skipped(reading: SceneReading) -> list[dict[str, str]]:
+    """What did not receive and why, with the remedy that this job offers for shared meshes."""
+    remedies = {
+        name: f"shares its mesh with {receiver!r} and shows its light: turn on Make Single User to bake it by itself"
+        for name, receiver in reading.shared
+    }
+    return [{"object": name, "reason": remedies.get(name, reason)} for name, reason in reading.skipped]
 
 
 def _write(targets: Sequence[_Target], result: BakeResult, options: BakeOptions) -> list[str]:
     """Write all meshes or none; returns warnings."""
     objects = [_object_of(target) for target in targets]
-    colors: list[tuple[bpy.types.Object, np.ndarray]] = []
-    seen: set[str] = set()
-    warnings = []
-    for target, obj, baked in zip(targets, objects, result.meshes, strict=True):
-        if target.mesh_name in seen and not options.make_single_user:
-            continue
-        seen.add(target.mesh_name)
-        values = _values(baked, options)
-        if options.data_type == "BYTE_COLOR":
-            clipped = int((values.reshape(-1, 4) > _BYTE_LIMIT).any(axis=1).sum())
-            if clipped:
-                what = "corners" if options.domain == "CORNER" else "vertices"
-                warnings.append(
-                    f"{target.object_name!r}: {clipped} of {len(values) // 4} {what} are brighter than white and were "
-                    "cut off: store the data type Color to keep them"
-                )
-        colors.append((obj, values))
-    copies = _make_single_user([obj for obj, _values in colors]) if options.make_single_user else []
+    colors = [_values(baked, options) for baked in result.meshes]
+    copies = _make_single_user(objects) if options.make_single_user else []
     try:
         write_color_attributes(
-            [(obj.data, values) for obj, values in colors],
+            [(obj.data, values) for obj, values in zip(objects, colors, strict=True)],
             options.attribute_name,
             options.domain,
             options.data_type,
         )
     except BaseException:
-        for obj, shared in copies:
-            copy, obj.data = obj.data, shared
-            bpy.data.meshes.remove(copy)
+        _share_again(copies)
         raise
-    return warnings
+    if options.data_type != "BYTE_COLOR":
+        return []
+    what = "corners" if options.domain == "CORNER" else "vertices"
+    clipped = [int((values.reshape(-1, 4) > _BYTE_LIMIT).any(axis=1).sum()) for values in colors]
+    return [
+        f"{target.object_name!r}: {count} of {len(values) // 4} {what} are brighter than white and were cut off: "
+        "store the data type Color to keep them"
+        for target, values, count in zip(targets, colors, clipped, strict=True)
+        if count
+    ]
 
 
 def _object_of(target: _Target) -> bpy.types.Object:
@@ -223,10 +232,17 @@ def _values(baked: BakedMesh, options: BakeOptions) -> np.ndarray:
 
 
 def _make_single_user(objects: Sequence[bpy.types.Object]) -> list[tuple[bpy.types.Object, bpy.types.Mesh]]:
-    """Give each object a mesh of its own; returns (object, mesh it shared) of those changed, to take it back."""
+    """Give each object a mesh of its own; returns (object, mesh it shared) of those changed."""
     changed = []
     for obj in objects:
         if obj.data.users - obj.data.use_fake_user > 1:
             changed.append((obj, obj.data))
             obj.data = obj.data.copy()
     return changed
+
+
+def _share_again(changed: Sequence[tuple[bpy.types.Object, bpy.types.Mesh]]) -> None:
+    """Take back `_make_single_user`."""
+    for obj, shared in changed:
+        copy, obj.data = obj.data, shared
+        bpy.data.meshes.remove(copy)

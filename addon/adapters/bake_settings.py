@@ -45,7 +45,7 @@ class BakeOptions:
     data_type : str
         ``FLOAT_COLOR`` or ``BYTE_COLOR``.
     world_strength : float or None
-        Strength of a white sky that replaces the scene's world; None keeps the world.
+        Replaces the strength of the world's light; white where the world is black. None keeps the world.
     make_single_user : bool
         Give objects that share a mesh one of their own before the colors are written.
     show_in_viewport : bool

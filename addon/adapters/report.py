@@ -133,6 +133,20 @@ def _parsed(text: Any) -> dict[str, Any] | None:
     return report if isinstance(report, dict) and report.get("version") == VERSION else None
 
 
+def messages(report: dict[str, Any]) -> list[str]:
+    """What a report has to say in words: its warnings, and the skipped objects, those with one reason in one line."""
+    names: dict[str, list[str]] = {}
+    for entry in report["skipped"]:
+        names.setdefault(entry["reason"], []).append(entry["object"])
+    return report["warnings"] + [f"Skipped {listed(objects)}: {reason}" for reason, objects in names.items()]
+
+
+def listed(names: list[str], most: int = 6) -> str:
+    """Names in quotes, the first few of many."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(repr(name) for name in names[:most]) + more
+
+
 def remove_report(scene: bpy.types.Scene) -> bool:
     """Forget the last report; whether there was one."""
     if REPORT_KEY not in scene:

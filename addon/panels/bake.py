@@ -59,12 +59,12 @@ def _receivers(context):
         return "Switch to Object Mode to bake", 'ERROR'
     selected = [obj for obj in context.selected_objects if obj.type == 'MESH']
     if not selected:
-        return "Select the meshes to bake", 'ERROR'
+        return "All rendered meshes receive light", 'OUTLINER_OB_MESH'
     if not any(len(obj.data.polygons) for obj in selected):
         return "The selected meshes have no faces", 'ERROR'
     if len(selected) == 1:
-        return iface_("Receives light: {:s}").format(selected[0].name), 'MESH_DATA'
-    return iface_("Receive light: {:,d} meshes").format(len(selected)), 'MESH_DATA'
+        return iface_("Receives light: {:s}").format(selected[0].name), 'OUTLINER_OB_MESH'
+    return iface_("Receive light: {:,d} meshes").format(len(selected)), 'OUTLINER_OB_MESH'
 
 
 @lru_cache(maxsize=1)

@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..adapters.report import read_report
+from ..adapters.report import messages, read_report
 from ..properties.progress import duration
 from .sidebar import RadiositySubPanel
 
@@ -25,7 +25,7 @@ class VIEW3D_PT_radiosity_statistics(RadiositySubPanel, bpy.types.Panel):
             split = column.split(factor=0.55)
             split.label(text=label)
             split.label(text=value, translate=False)
-        warnings = report["warnings"] + [f"{entry['object']}: {entry['reason']}" for entry in report["skipped"]]
+        warnings = messages(report)
         if warnings:
             column = layout.column(align=True)
             column.label(text=iface_("Warnings: {:d}").format(len(warnings)), icon='ERROR', translate=False)

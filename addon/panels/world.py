@@ -1,4 +1,4 @@
-"""Sub-panel: a white sky in place of the scene's world."""
+"""Sub-panel: another strength for the world's light."""
 
 import bpy
 
@@ -6,7 +6,7 @@ from .sidebar import RadiositySubPanel
 
 
 class VIEW3D_PT_radiosity_world(RadiositySubPanel, bpy.types.Panel):
-    bl_label = "Override World"
+    bl_label = "World Override"
 
     def draw_header(self, context):
         self.layout.enabled = not context.window_manager.radiosity.is_running

@@ -165,7 +165,7 @@ def time_limit(**more):
 def world_strength(**more):
     return FloatProperty(
         name="World Strength",
-        description="Light the scene with a white sky of this strength instead of its world",
+        description="Set the strength of the world's light, white where the world is black",
         default=1.0,
         soft_max=10.0,
         **more,

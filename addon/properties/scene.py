@@ -24,8 +24,8 @@ class RadiositySceneSettings(PropertyGroup):
     threads: bake.threads(min=0, **_FIXED)
     time_limit: bake.time_limit(min=0.0, **_FIXED)
     use_world_strength: BoolProperty(
-        name="Override World",
-        description="Light the scene with a white sky instead of its world",
+        name="Override World Strength",
+        description="Bake with another strength of the world's light than the world itself has",
         default=False,
         options=set(),
     )

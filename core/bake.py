@@ -18,7 +18,7 @@ from .baked_mesh import BakedMesh
 from .cleaning import clean
 from .direct_light import direct_light
 from .discretization.merging import merge_coplanar
-from .discretization.patches import Patches, build_patches
+from .discretization.patches import Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .gathering import HitTable
 from .indirect_light import indirect_light, uncut_edges
@@ -31,7 +31,7 @@ from .progress import Progress, shared_progress
 from .receivers import Receivers, build_receivers
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
-from .visibility.embree import Frame, RayPool, Tracer
+from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
 
 #: Rings of buried receivers that are filled from their neighbors. Deeper ones lie where nobody sees them.
 FILL_RINGS = 64
@@ -105,7 +105,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         _check(scene, cleaned.surfaces, plan, settings)
     with RayPool(settings.threads) as pool:
         with clock.stage("trace mesh"):
-            model = _build_model(cleaned.surfaces, cleaned.rows, scene, plan)
+            model = _build_model(cleaned.surfaces, cleaned.rows, scene, plan, pool)
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
             receivers = build_receivers(scene.receivers, model.frame)
@@ -160,7 +160,7 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
         )
 
 
-def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakePlan) -> _Model:
+def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakePlan, pool: RayPool) -> _Model:
     frame = Frame.around(np.asarray(surfaces.vertices, dtype=np.float64))
     vertices = (np.asarray(surfaces.vertices, dtype=np.float64) - frame.center) / frame.size
     looks = _looks(surfaces)
@@ -173,11 +173,15 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     shining, sampled = area_lights(
         merged.vertices, triangles, constant, two_sided, lamp_power / frame.size**2
     )
+    tracer = Tracer.build(merged.vertices.astype(np.float32), triangles, surfaces.transmittance[source])
     patches = build_patches(merged.vertices, triangles, looks[source], plan.patches)
+    cells, starts, segments = probe_segments(patches, merged.vertices, triangles)
+    crossed = _crossed(tracer, starts, segments, pool)
+    patches = split_cells(patches, merged.vertices, triangles, cells[crossed])
     reflectance, emission = _patch_colors(patches, surfaces, source, sampled, rows, frame, merged.vertices)
     return _Model(
         frame=frame,
-        tracer=Tracer.build(merged.vertices.astype(np.float32), triangles, surfaces.transmittance[source]),
+        tracer=tracer,
         patches=patches,
         reflectance=reflectance,
         emission=emission,
@@ -185,6 +189,20 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
         black_back=~two_sided,
         lights=[*lamps, *shining],
     )
+
+
+def _crossed(tracer: Tracer, starts: np.ndarray, segments: np.ndarray, pool: RayPool) -> np.ndarray:
+    """(n,) bool: whether anything crosses one of the segments (n, s, 3) of each row."""
+    count, each = starts.shape[:2]
+    seen = np.ones((count, each), bool)
+
+    def work(start: int, stop: int) -> None:
+        begin = starts[start:stop].reshape(-1, 3).astype(np.float32)
+        passed = tracer.visibility(begin, segments[start:stop].reshape(-1, 3).astype(np.float32), 1.0)
+        seen[start:stop] = passed.reshape(-1, each) > 0
+
+    pool.run(work, count, CHUNK_RAYS // each)
+    return ~seen.all(axis=1)
 
 
 def _looks(surfaces: Surfaces) -> np.ndarray:

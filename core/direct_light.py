@@ -113,14 +113,17 @@ def direct_light(
     """
     out = np.zeros((len(points), 3), np.float32)
     rays = 0
-    if not len(points):
+    if not len(points) or not len(lights):
         return out, rays
+    # Lifted for the closed forms too: a vertex of an emissive face would see that face on all sides, or not at all, by
+    # the rounding of its own position.
+    points = (points + np.float32(OFFSET) * normals).astype(np.float32)
     choices = choose_lights(lights, points, normals, seed)
     for number, (light, choice) in enumerate(zip(lights, choices, strict=True)):
         lit, strength = _unoccluded(light, choice, points, normals, pool)
         if not len(lit):
             continue
-        starts = (points[lit] + np.float32(OFFSET) * normals[lit]).astype(np.float32)
+        starts = points[lit]
         seen = np.empty(len(lit), np.float32)
         scouts = _visibility(tracer, light, starts, normals[lit], 0, pool, seen)
         for done in scouts:

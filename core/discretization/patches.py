@@ -4,6 +4,9 @@ A big triangle is divided into k * k equal cells; small triangles that lie near 
 the same are clustered into one patch. Either way a ray's hit (triangle, u, v) leads to its patch by arithmetic alone.
 Nothing of this touches the artist's mesh.
 
+Where something stands on a cell, a wall's foot or a table's leg, the cell is split once more, so that light on one side
+does not count for the other.
+
 Every patch has a front and a back. Row i of a table is the front of patch i, row ``count + i`` its back.
 """
 
@@ -14,9 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..keys import row_keys
+from ..visibility.embree import OFFSET
 
 #: Sample points per patch, one in each quarter of a cell.
 POINTS = 4
+
+#: Parts into which the side of a cell is cut that something stands on.
+SPLIT = 4
+
+#: Cells are split at most until there are this many times as many patches.
+MAX_GROWTH = 2.5
 
 #: Normals are grouped by rounding this multiple of them, so that a cluster's normals lie within about 30 degrees.
 NORMAL_STEPS = 2.0
@@ -46,6 +56,9 @@ class Patches:
     point_triangles : (P, POINTS) int32
     point_weights : (P, POINTS, 3) float32
         Triangle of each sample point, and its barycentric weights there.
+    splits : (P,) int32 or None
+        First of the `SPLIT` * `SPLIT` patches that a cell was split into, -1 where it was not. A split cell has no area
+        of its own any more.
     """
 
     count: int
@@ -56,6 +69,7 @@ class Patches:
     normals: np.ndarray
     point_triangles: np.ndarray
     point_weights: np.ndarray
+    splits: np.ndarray | None = None
 
     @property
     def sizes(self) -> np.ndarray:
@@ -65,14 +79,19 @@ class Patches:
     def at(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Patch (n,) int32 at hits given by triangle and barycentric weights of its second and third corner."""
         k = self.divisions[triangles]
-        first = self.first[triangles]
+        rows = self.first[triangles]
         big = k > 1
-        if not big.any():
-            return first
         if big.all():
-            return first + _cell(k, u, v)
-        first[big] += _cell(k[big], u[big], v[big])
-        return first
+            rows += _cell(k, u, v)
+        elif big.any():
+            rows[big] += _cell(k[big], u[big], v[big])
+        if self.splits is not None:
+            starts = self.splits[rows]
+            split = np.nonzero(starts >= 0)[0]
+            if len(split):
+                within = _within_cell(k[split], u[split], v[split])
+                rows[split] = starts[split] + _cell(np.full(len(split), SPLIT, np.float32), *within)
+        return rows
 
 
 def _cell(k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -87,6 +106,14 @@ def _cell(k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     i = np.minimum(i, k - 1)
     cell = i * (2 * k - i) + 2 * j + inverted
     return np.clip(cell, i * (2 * k - i), i * (2 * k - i) + 2 * (k - i) - 2).astype(np.int32)
+
+
+def _within_cell(k: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric weights (n,), (n,) within the cell that holds each point, as if the cell were a triangle."""
+    along, up = k * u, k * v
+    s, t = along - np.floor(along), up - np.floor(up)
+    inverted = s + t > 1
+    return np.where(inverted, 1 - s, s), np.where(inverted, 1 - t, t)
 
 
 def _triangle_shape(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -164,18 +191,31 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     )
 
 
-def _cell_points(k: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """Barycentric weights (n, POINTS, 3) of the middles of the four quarters of cells, numbered as in `_cell`."""
+def _cell_origin(k: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row, place in the row, and whether inverted, of cells numbered as in `_cell`."""
     # Row i starts at i (2 k - i): solve for i, then mend what rounding did to the root.
     i = np.floor(k - np.sqrt(np.maximum(k * k - cell, 0)))
     i += cell >= (i + 1) * (2 * k - i - 1)
     i -= cell < i * (2 * k - i)
     rest = cell - i * (2 * k - i)
-    j, inverted = np.floor(rest / 2), rest % 2
-    quarters = np.array([[1 / 3, 1 / 3], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [1 / 6, 1 / 6]])
-    inside = np.where(inverted[:, None, None] > 0, 1 - quarters, quarters)
+    return i, np.floor(rest / 2), rest % 2 > 0
+
+
+def _cell_weights(k: np.ndarray, cell: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Barycentric weights (n, q, 3) in the triangle of places `inside` (q, 2) of its cells."""
+    i, j, inverted = _cell_origin(k, cell)
+    inside = np.where(inverted[:, None, None], 1 - inside, inside)
     uv = (np.stack([i, j], axis=1)[:, None] + inside) / k[:, None, None]
     return np.concatenate([1 - uv.sum(axis=2, keepdims=True), uv], axis=2)
+
+
+#: Middles of the four quarters of a triangle, as weights of its second and third corner.
+_QUARTERS = np.array([[1 / 3, 1 / 3], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [1 / 6, 1 / 6]])
+
+
+def _cell_points(k: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Barycentric weights (n, POINTS, 3) of the middles of the four quarters of cells."""
+    return _cell_weights(k, cell, _QUARTERS)
 
 
 def _cluster(corners, areas, normals, looks, size) -> tuple[np.ndarray, np.ndarray]:
@@ -206,3 +246,64 @@ def _cluster_points(representatives: np.ndarray) -> np.ndarray:
     if alone.any():
         middle[alone] = _cell_points(np.ones(1), np.zeros(1))[0]
     return middle
+
+
+def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray):
+    """Segments just above each cell, along its sides and through its middle, that nothing crosses unless it stands there.
+
+    Returns
+    -------
+    cells : (n,) int
+        Patches that are one cell of one triangle.
+    starts, segments : (n, 6, 3) float64
+    """
+    lone = (patches.point_triangles == patches.point_triangles[:, :1]).all(axis=1)
+    owner = patches.point_triangles[:, 0]
+    lone &= (patches.divisions[owner] > 1) | (np.bincount(patches.first, minlength=patches.count) == 1)
+    cells = np.nonzero(lone & (patches.areas > 0))[0]
+    owner = owner[cells]
+    k = patches.divisions[owner].astype(np.float64)
+    # Sides are drawn in a little: what ends exactly on them belongs to the neighbor as well.
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    corners = corners + 0.02 * (1 / 3 - corners)
+    middles = (np.roll(corners, -1, axis=0) + np.roll(corners, -2, axis=0)) / 2
+    weights = _cell_weights(k, cells - patches.first[owner].astype(np.float64), np.concatenate([corners, middles]))
+    places = np.einsum("cpw,cwi->cpi", weights, np.asarray(vertices, dtype=np.float64)[triangles[owner]])
+    lift = np.maximum(4 * OFFSET, 0.005 * np.sqrt(patches.areas[cells]))
+    places = places + lift[:, None, None] * patches.normals[cells][:, :1]
+    starts, ends = places[:, [0, 1, 2, 0, 1, 2]], places[:, [1, 2, 0, 3, 4, 5]]
+    return cells, starts, ends - starts
+
+
+def split_cells(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, cells: np.ndarray) -> Patches:
+    """Patches whose `cells` (n,) are each cut into `SPLIT` * `SPLIT`; as many of them, from the largest, as may be."""
+    room = int((MAX_GROWTH - 1) * patches.count / SPLIT**2)
+    if len(cells) > room:
+        cells = np.sort(cells[np.argsort(-patches.areas[cells], kind="stable")[:room]])
+    if not len(cells):
+        return patches
+    parts = SPLIT**2
+    owner = np.repeat(patches.point_triangles[cells, 0], parts)
+    k = patches.divisions[owner].astype(np.float64)
+    inner = _cell_points(np.full(parts, float(SPLIT)), np.arange(parts))[..., 1:]
+    number = cells - patches.first[patches.point_triangles[cells, 0]]
+    i, j, inverted = _cell_origin(patches.divisions[patches.point_triangles[cells, 0]].astype(float), number.astype(float))
+    inside = np.where(inverted[:, None, None, None], 1 - inner, inner)
+    uv = (np.stack([i, j], axis=1)[:, None, None] + inside).reshape(-1, POINTS, 2) / k[:, None, None]
+    weights = np.concatenate([1 - uv.sum(axis=2, keepdims=True), uv], axis=2)
+    points = np.einsum("cpw,cwi->cpi", weights, np.asarray(vertices, dtype=np.float64)[triangles[owner]])
+    splits = np.full(patches.count + len(owner), -1, np.int32)
+    splits[cells] = patches.count + parts * np.arange(len(cells), dtype=np.int32)
+    areas = np.concatenate([patches.areas, np.repeat(patches.areas[cells] / parts, parts)])
+    areas[cells] = 0
+    return Patches(
+        count=patches.count + len(owner),
+        first=patches.first,
+        divisions=patches.divisions,
+        areas=areas,
+        points=np.concatenate([patches.points, points.astype(np.float32)]),
+        normals=np.concatenate([patches.normals, np.repeat(patches.normals[cells], parts, axis=0)]),
+        point_triangles=np.concatenate([patches.point_triangles, np.repeat(owner[:, None], POINTS, axis=1)]),
+        point_weights=np.concatenate([patches.point_weights, weights.astype(np.float32)]),
+        splits=splits,
+    )

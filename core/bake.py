@@ -23,12 +23,14 @@ from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .gathering import HitTable
 from .indirect_light import indirect_light, uncut_edges
 from .interpolation import fill_from_neighbors
+from .keys import row_keys
 from .lights.emissive import area_lights
 from .patch_checks import check_patches
+from .patch_colors import patch_colors
 from .patch_solution import PatchSolution
 from .probe import probe_error
 from .progress import Progress, shared_progress
-from .receivers import Receivers, build_receivers
+from .receivers import build_receivers
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
 from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
@@ -116,8 +118,14 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             yield from _told(solution.solve(), 0.1, 0.3, "Solving patches")
         with clock.stage("direct light"):
             work = direct_light(
-                model.tracer, model.lights, receivers.points, receivers.normals, receivers.edges, plan.penumbra_rays,
-                pool, settings.seed,
+                model.tracer,
+                model.lights,
+                receivers.points,
+                receivers.normals,
+                receivers.edges,
+                plan.penumbra_rays,
+                pool,
+                settings.seed,
             )
             direct, rays = yield from _told(work, 0.3, 0.6, "Direct light")
         with clock.stage("indirect light"):
@@ -169,16 +177,15 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     two_sided = surfaces.two_sided[source]
     lamps = [light.in_frame(frame.center, frame.size) for light in scene.lights if np.any(light.power > 0)]
     lamp_power = sum(float(light.power.max()) for light in scene.lights)
-    constant = np.where(surfaces.textured[:, None], 0, surfaces.emission)[source]
     shining, sampled = area_lights(
-        merged.vertices, triangles, constant, two_sided, lamp_power / frame.size**2
+        merged.vertices, triangles, surfaces.emission[source], two_sided, lamp_power / frame.size**2
     )
     tracer = Tracer.build(merged.vertices.astype(np.float32), triangles, surfaces.transmittance[source])
     patches = build_patches(merged.vertices, triangles, looks[source], plan.patches)
     cells, starts, segments = probe_segments(patches, merged.vertices, triangles)
     crossed = _crossed(tracer, starts, segments, pool)
     patches = split_cells(patches, merged.vertices, triangles, cells[crossed])
-    reflectance, emission = _patch_colors(patches, surfaces, source, sampled, rows, frame, merged.vertices)
+    reflectance, emission = patch_colors(patches, merged.vertices, triangles, surfaces, source, rows, sampled, vertices)
     return _Model(
         frame=frame,
         tracer=tracer,
@@ -207,20 +214,16 @@ def _crossed(tracer: Tracer, starts: np.ndarray, segments: np.ndarray, pool: Ray
 
 def _looks(surfaces: Surfaces) -> np.ndarray:
     """Numbers (m,) that are equal where triangles may be merged."""
-    columns = np.column_stack([surfaces.materials, surfaces.two_sided])
-    _, looks = np.unique(columns, axis=0, return_inverse=True)
+    # Textured emission and transparency are means over one triangle each, so those triangles stay as they are.
+    single = surfaces.textured & ((surfaces.emission > 0).any(axis=1) | (surfaces.transmittance > 0))
+    alone = np.where(single, np.arange(1, len(single) + 1), 0)
+    _, looks = np.unique(row_keys(surfaces.materials, surfaces.two_sided, alone), return_inverse=True)
     return looks.reshape(-1)
 
 
-def _patch_colors(patches, surfaces, source, sampled, rows, frame, vertices):
-    """Reflectance and emission (P, 3) of patches: means over their sample points."""
-    owners = source[patches.point_triangles]
-    reflectance = surfaces.reflectance[owners].mean(axis=1)
-    emission = np.where(sampled[patches.point_triangles][..., None], 0, surfaces.emission[owners]).mean(axis=1)
-    return reflectance, emission
-
-
-def _patch_solution(model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool) -> PatchSolution:
+def _patch_solution(
+    model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool
+) -> PatchSolution:
     return PatchSolution(
         tracer=model.tracer,
         hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky),

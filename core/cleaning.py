@@ -75,7 +75,9 @@ def clean(surfaces: Surfaces) -> CleanSurfaces:
         two_sided=surfaces.two_sided[rows],
         textured=surfaces.textured[rows],
     )
-    _report(warnings, kept, ~np.isfinite(reflectance) | (reflectance < 0) | (reflectance > 1), "reflectance outside 0 to 1")
+    _report(
+        warnings, kept, ~np.isfinite(reflectance) | (reflectance < 0) | (reflectance > 1), "reflectance outside 0 to 1"
+    )
     _report(warnings, kept, ~np.isfinite(emission) | (emission < 0), "emission that is negative or not a number")
     kept = replace(
         kept,

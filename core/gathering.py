@@ -98,9 +98,7 @@ class HitTable:
         if met.all():
             return self._patch_rows(triangles, hits["u"], hits["v"], hits["Ng"], directions)
         rows = np.full(len(triangles), self.outside_row, np.int32)
-        rows[met] = self._patch_rows(
-            triangles[met], hits["u"][met], hits["v"][met], hits["Ng"][met], directions[met]
-        )
+        rows[met] = self._patch_rows(triangles[met], hits["u"][met], hits["v"][met], hits["Ng"][met], directions[met])
         if self.sky is not None:
             rows[~met] = self.sky_start + self._sky_cell(directions[~met])
         return rows

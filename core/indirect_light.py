@@ -88,8 +88,14 @@ class _Gatherer:
         for start in range(0, len(who), block):
             part = who[start : start + block]
             work = gather(
-                solution.tracer, solution.hits_to_rows, self.receivers.points[part], self.receivers.normals[part],
-                self.rays, solution.pool, self.seed, names=part,
+                solution.tracer,
+                solution.hits_to_rows,
+                self.receivers.points[part],
+                self.receivers.normals[part],
+                self.rays,
+                solution.pool,
+                self.seed,
+                names=part,
             )
             seen = yield from shared_progress(work, start / len(who), (start + len(part)) / len(who))
             if solution.meet(seen.rows):
@@ -129,8 +135,14 @@ def indirect_light(
     values, valid = yield from _refine(gatherer, levels, settings)
     finest = levels[-1]
     irradiance, found = interpolate(
-        receivers.points, receivers.normals, np.arange(count), _candidates(finest, finest.clusters), finest.nodes,
-        values, valid, finest.spacing,
+        receivers.points,
+        receivers.normals,
+        np.arange(count),
+        _candidates(finest, finest.clusters),
+        finest.nodes,
+        values,
+        valid,
+        finest.spacing,
     )
     buried = ~(found & valid[finest.clusters])
     return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays)
@@ -154,7 +166,13 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
         wanted = _with_neighbors(level, rough | ~valid) | (near & gatherer.traced[level.nodes])
         parents = level.clusters
         guess, found = interpolate(
-            receivers.points, receivers.normals, finer.nodes, _candidates(level, parents), level.nodes, values, valid,
+            receivers.points,
+            receivers.normals,
+            finer.nodes,
+            _candidates(level, parents),
+            level.nodes,
+            values,
+            valid,
             level.spacing,
         )
         chosen = finer.nodes[wanted[parents] | ~found]

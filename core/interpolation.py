@@ -63,7 +63,13 @@ def interpolate(
     for start in range(0, count, BLOCK):
         part = slice(start, min(start + BLOCK, count))
         out[part], found[part] = _fit(
-            points[targets[part]], normals[targets[part]], candidates[part], node_points, node_normals, values, valid,
+            points[targets[part]],
+            normals[targets[part]],
+            candidates[part],
+            node_points,
+            node_normals,
+            values,
+            valid,
             np.float32(spacing),
         )
     return out, found

@@ -136,9 +136,7 @@ class PatchSolution:
         normals = self.patches.normals[patch] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
         normals = np.ascontiguousarray(normals.reshape(-1, 3))
         ring = _rings(len(rows))
-        work = direct_light(
-            self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed
-        )
+        work = direct_light(self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed)
         direct, rays = yield from shared_progress(work, 0.0, 0.5)
         work = gather(self.tracer, self.hits_to_rows, points, normals, self.rays, self.pool, self.seed + int(rows[0]))
         seen = yield from shared_progress(work, 0.5, 1.0)

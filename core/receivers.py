@@ -140,8 +140,14 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     if not base:
         empty = np.empty((0, 3), np.float32)
         return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool))
-    return _welded(np.concatenate(points), np.concatenate(normals), np.concatenate(inward), np.concatenate(sizes),
-                   np.concatenate(edges), groups)
+    return _welded(
+        np.concatenate(points),
+        np.concatenate(normals),
+        np.concatenate(inward),
+        np.concatenate(sizes),
+        np.concatenate(edges),
+        groups,
+    )
 
 
 def _welded(points, normals, inward, sizes, edges, groups) -> Receivers:

@@ -84,7 +84,9 @@ def _neighbor_table(count: int, edges: np.ndarray) -> np.ndarray:
     return table
 
 
-def _coarsen(points: np.ndarray, normals: np.ndarray, items: np.ndarray, edges: np.ndarray, spacing: float) -> NodeLevel:
+def _coarsen(
+    points: np.ndarray, normals: np.ndarray, items: np.ndarray, edges: np.ndarray, spacing: float
+) -> NodeLevel:
     """Clusters of `items` (receiver numbers), joined by `edges` between items."""
     count = len(items)
     place, facing = points[items], normals[items]

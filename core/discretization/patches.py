@@ -287,7 +287,9 @@ def split_cells(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, c
     k = patches.divisions[owner].astype(np.float64)
     inner = _cell_points(np.full(parts, float(SPLIT)), np.arange(parts))[..., 1:]
     number = cells - patches.first[patches.point_triangles[cells, 0]]
-    i, j, inverted = _cell_origin(patches.divisions[patches.point_triangles[cells, 0]].astype(float), number.astype(float))
+    i, j, inverted = _cell_origin(
+        patches.divisions[patches.point_triangles[cells, 0]].astype(float), number.astype(float)
+    )
     inside = np.where(inverted[:, None, None, None], 1 - inner, inner)
     uv = (np.stack([i, j], axis=1)[:, None, None] + inside).reshape(-1, POINTS, 2) / k[:, None, None]
     weights = np.concatenate([1 - uv.sum(axis=2, keepdims=True), uv], axis=2)

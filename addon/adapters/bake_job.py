@@ -41,6 +41,10 @@ _WRITE_SHARE = 0.02
 _BYTE_LIMIT = 1.0 + 0.5 / 255
 
 
+#: Objects whose being left out is news. Lamps and cameras come along whenever all is selected.
+_SURFACE_TYPES = frozenset(("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"))
+
+
 class SceneChangedError(RadiosityError):
     """What was read at the start of a bake is no longer there at its end."""
 
@@ -176,7 +180,11 @@ def _skipped(reading: SceneReading) -> list[dict[str, str]]:
         name: f"shares its mesh with {receiver!r} and shows its light: turn on Make Single User to bake it by itself"
         for name, receiver in reading.shared
     }
-    return [{"object": name, "reason": remedies.get(name, reason)} for name, reason in reading.skipped]
+    return [
+        {"object": name, "reason": remedies.get(name, reason)}
+        for name, reason in reading.skipped
+        if bpy.data.objects[name].type in _SURFACE_TYPES
+    ]
 
 
 def _write(targets: Sequence[_Target], result: BakeResult, options: BakeOptions) -> list[str]:

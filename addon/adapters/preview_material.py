@@ -63,7 +63,7 @@ def remove_leftovers(objects: Iterable[bpy.types.Object]) -> None:
             continue
         del mesh[_SLOT_KEY]
         if len(mesh.materials) == 1 and mesh.materials[0] is None:
-            mesh.materials.pop(index=0)
+            mesh.materials.clear()  # tells the objects too, which pop() forgets
     for material in [material for material in bpy.data.materials if _MATERIAL_KEY in material]:
         if material.users == 0:
             bpy.data.materials.remove(material)

@@ -10,12 +10,12 @@ import bpy
 import numpy as np
 
 
-def over_button(gui, command):
-    """Generator: move the mouse onto the button of the sidebar that runs a command."""
+def over_button(gui, command, across=0.45):
+    """Generator: move the mouse onto the button of the sidebar that runs a command, at a share of its width."""
     region = gui.region("UI")
     manager = bpy.context.window_manager
     for down in range(20, region.height, 8):
-        gui.move(region.x + 0.45 * region.width, region.y + region.height - down)
+        gui.move(region.x + across * region.width, region.y + region.height - down)
         yield 0.15
         manager.clipboard = ""
         with bpy.context.temp_override(window=gui.window, area=gui.area(), region=region):
@@ -26,9 +26,9 @@ def over_button(gui, command):
     raise RuntimeError(f"no button in the sidebar runs {command}")
 
 
-def press(gui, command):
+def press(gui, command, across=0.45):
     """Generator: press that button with the mouse."""
-    yield from over_button(gui, command)
+    yield from over_button(gui, command, across)
     gui._xdotool("click", 1)
     yield 0.3
 
@@ -118,7 +118,7 @@ def main(gui):
     # The button beside the bar does the same.
     yield from press(gui, "bpy.ops.radiosity.bake(")
     yield from wait_until(lambda: manager.radiosity.fraction > 0.05, 60, "progress")
-    yield from press(gui, "bpy.ops.radiosity.stop(")
+    yield from press(gui, "bpy.ops.radiosity.stop(", across=0.83)
     yield from wait_until(lambda: not manager.radiosity.is_running, 20, "the bake to stop")
     assert {name: state(bpy.data.objects[name].data) for name in before} == before
 

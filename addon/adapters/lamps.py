@@ -4,6 +4,8 @@ Blender gives the power of a point, spot or area lamp in W, and the strength of 
 or spot of power P has the intensity P / (4 pi) per steradian, a spot within its cone; an area lamp of area A has the
 exitance P / A on the side of its -Z axis. Limits, each named in a warning: the spread of an area lamp is taken as
 180 degrees, textures of lamps as their sockets' values, lamps without shadow cast them, and light linking is ignored.
+Soft falloff, by which Cycles turns the sphere of a point or spot into a disk that faces each point it lights, is not
+modeled: within ten radii a lamp is brighter here, by the square of radius over distance (1 % at ten radii).
 """
 
 from __future__ import annotations
@@ -63,14 +65,11 @@ class LampReader:
         length = np.linalg.norm(back)
         back = back / length if length > 0 else np.array([0.0, 0.0, 1.0])
         if lamp.type == 'SUN':
-            return SunLight(back, color, float(lamp.angle))
+            return SunLight(back, color * _sun_share(lamp), float(lamp.angle))
         if lamp.type == 'AREA':
             return self._area(lamp, matrix, color, back)
         size = lamp.shadow_soft_size
-        if not _is_normalized(lamp):
-            # The strength is then radiance times pi of a sphere of this size, and a point has none.
-            color = color * (4 * pi * pi * size**2 if size > 0 else 1.0) / pi * pi
-        intensity = color / (4 * pi)
+        intensity = color * _sphere_share(lamp) / (4 * pi)
         if lamp.type == 'SPOT':
             return SpotLight(position, -back, intensity, float(lamp.spot_size), float(lamp.spot_blend), float(size))
         return PointLight(position, intensity, float(size))
@@ -109,7 +108,7 @@ class LampReader:
 
     def _note_limits(self, obj) -> None:
         lamp = obj.data
-        cycles = getattr(lamp, "cycles", None)  # an add-on of Blender's own, which may be disabled
+        cycles = getattr(lamp.original, "cycles", None)  # an add-on of Blender's own, which may be disabled
         if not lamp.use_shadow or not getattr(cycles, "cast_shadow", True):
             self._notes["Lamps without shadow cast shadows in the bake"].append(obj.name)
         if lamp.type == 'AREA' and lamp.spread < pi - SPREAD_TOLERANCE:
@@ -135,9 +134,23 @@ def area_outline(lamp: bpy.types.AreaLight) -> np.ndarray:
 
 def is_portal(lamp: bpy.types.Light) -> bool:
     """Whether an area lamp only guides Cycles' sampling and gives no light."""
-    return lamp.type == 'AREA' and bool(getattr(getattr(lamp, "cycles", None), "is_portal", False))
+    return lamp.type == 'AREA' and bool(getattr(getattr(lamp.original, "cycles", None), "is_portal", False))
 
 
 def _is_normalized(lamp) -> bool:
     """Whether the power stays the same when the lamp's size changes; a choice from Blender 4.5."""
     return getattr(lamp, "normalize", True)
+
+
+def _sphere_share(lamp) -> float:
+    """Power per unit of strength: a lamp that is not normalized gives W per m2 of its sphere; 4 W for a point."""
+    if _is_normalized(lamp):
+        return 1.0
+    return 4 * pi * lamp.shadow_soft_size**2 if lamp.shadow_soft_size > 0 else 4.0
+
+
+def _sun_share(lamp) -> float:
+    """Irradiance per unit of strength: a sun that is not normalized has the strength as its radiance."""
+    if _is_normalized(lamp) or lamp.angle <= 0:
+        return 1.0
+    return pi * np.sin(lamp.angle / 2) ** 2

@@ -7,7 +7,7 @@ Rays from points spread over the bounding box tell what kind of place it is, as 
 - open to the sky: a model seen from above and outside, at three quarters.
 
 Cost: about half a million rays, whatever the scene. Limits: up is +Z; "shows most" is depth, variety of directions and
-number of triangles, not beauty; a maze is shown by one of its halls.
+outlines, not beauty; a maze is shown by one of its halls.
 """
 
 from __future__ import annotations
@@ -42,6 +42,9 @@ _WINDOW = 0.03
 #: Tangents of half the horizontal angle: a wide lens indoors (24 mm), a normal one outdoors (50 mm).
 _WIDE = 18.0 / 24.0
 _NORMAL = 18.0 / 50.0
+
+#: Share of neighboring rays on different planes in a bare room; makes edges beyond it count by their logarithm.
+_EDGES_OF_AN_EMPTY_ROOM = 0.03
 
 #: Rays across and down with which a view is judged.
 _JUDGE = (48, 27)
@@ -216,11 +219,25 @@ def _worth(engine: RayEngine, normals: np.ndarray, view: View, size: float | Non
     hit = met >= 0
     if not hit.any():
         return -np.inf
-    facing = normals[met[hit]]
-    facing = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    backs = (np.einsum("ij,ij->i", facing, directions[hit]) > 0).sum() / len(met)
-    variety = 1 - float(np.sum(facing.mean(axis=0) ** 2))
-    worth = np.log(len(np.unique(met[hit]))) + 2 * variety - 8 * backs
-    if size is not None:
+    facing = normals[met] * hit[:, None]
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    backs = (np.einsum("ij,ij->i", facing, directions) > 0).mean()
+    variety = 1 - float(np.sum(facing[hit].mean(axis=0) ** 2))
+    worth = (
+        float(np.log(_EDGES_OF_AN_EMPTY_ROOM + _edges(origins, directions, distances, facing))) + variety - 8 * backs
+    )
+    if size is None:
+        # A wall right behind the front edge hides what it encloses, and is nearer than the rest.
+        worth += 4 * float(np.log(distances[hit]).mean())
+    else:
         worth += 2 * float(_log_depth(distances, size).mean()) - 4 * float((~hit).mean())
     return float(worth)
+
+
+def _edges(origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, facing: np.ndarray) -> float:
+    """Share of neighboring rays that meet different planes: outlines and creases, however finely faces are divided."""
+    points = origins + np.where(np.isfinite(distances), distances, 0)[:, None] * directions
+    points, facing = (each.reshape(_JUDGE[1], _JUDGE[0], 3) for each in (points, facing))
+    step, normal = np.diff(points, axis=1), facing[:, :-1]
+    off_plane = np.abs(np.einsum("rci,rci->rc", step, normal))
+    return float((off_plane > 0.1 * np.linalg.norm(step, axis=2)).mean())

@@ -243,8 +243,8 @@ def _run(tasks: list[Task], given: dict[str, object], enable_scripts: bool, stre
     return FAILED if failed else DONE
 
 
-def _one_line(label: str, error: Exception) -> str:
-    text = " ".join(str(error).split())
+def _one_line(label: str, message: Exception | str) -> str:
+    text = " ".join(str(message).split())
     return text if label in text else f"{label}: {text}"
 
 
@@ -287,8 +287,18 @@ def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
         write_all_or_nothing(writers)
     finally:
         line.clear()
-    name = task.source or bpy.data.filepath
-    return f"{name}: baked -> {', '.join(str(path) for path in task.results)}"
+    name = str(task.source or bpy.data.filepath)
+    for warning in report["warnings"]:
+        sys.stderr.write(f"radiosity: warning: {_one_line(name, warning)}\n")
+    sys.stderr.flush()
+    return f"{name}: {_summary(report)} -> {', '.join(str(path) for path in task.results)}"
+
+
+def _summary(report: dict) -> str:
+    """One line with the numbers that say whether it went well."""
+    scene, seconds, error = report["scene"], report["seconds"]["total"], report["estimated_error"]
+    accuracy = "" if error is None else f", estimated error {error:.1%}"
+    return f"baked {scene['baked_objects']} objects, {scene['receivers']:,} receivers in {seconds:.1f} s{accuracy}"
 
 
 @contextmanager

@@ -45,10 +45,10 @@ def plan_for(accuracy: float) -> BakePlan:
         patch_rays=PATCH_RAYS,
         penumbra_rays=_rays(64 * effort**0.6, 16, 256),
         indirect=IndirectSettings(
-            rays=_rays(128 * effort**0.65, 64, 768),
-            coarse_nodes=int(600 * effort**0.5),
+            rays=_rays(384 * effort**0.5, 128, 1024),
+            coarse_nodes=int(300 * effort**0.7),
             levels=3,
-            tolerance=0.06 * effort**-0.4,
+            tolerance=0.08 * effort**-0.4,
         ),
     )
 

@@ -16,17 +16,14 @@ import numpy as np
 from .discretization.nodes import NodeLevel, build_levels
 from .gathering import gather
 from .interpolation import interpolate
-from .patch_solution import PatchSolution
+from .patch_solution import BURIED, PatchSolution
 from .progress import shared_progress
 from .receivers import Receivers
 from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 
-#: A receiver is buried when more than this part of its rays meets dark backs.
-BURIED = 0.1
-
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
 #: sends it.
-NEAR = 0.75
+NEAR = 0.4
 
 #: With fewer receivers than this many times the coarse nodes, nodes save nothing: gather everywhere.
 DENSE = 4.0

@@ -14,6 +14,10 @@ from .frames import tangents
 #: Weight of the tie that keeps slopes finite where the nodes lie on a line or on one side; relative to the spacing.
 RIDGE = 0.02
 
+#: Squared distance, in spacings, below which a node weighs no more for being nearer. Large enough that a node's noise is
+#: shared with its neighbors.
+SOFTNESS = 0.3
+
 #: How far a value may leave the range of the nodes it is fitted to, as part of that range. Light does go on rising
 #: towards an edge beyond the last node.
 OVERSHOOT = 0.5
@@ -79,7 +83,7 @@ def _fit(points, normals, candidates, node_points, node_normals, values, valid, 
     apart = (node_points[candidates] - points[:, None]) / spacing
     alike = np.einsum("nci,ni->nc", node_normals[candidates], normals)
     square = np.einsum("nci,nci->nc", apart, apart)
-    weight = np.maximum(alike, 0) ** 4 / (square + np.float32(0.05)) ** 2
+    weight = np.maximum(alike, 0) ** 4 / (square + np.float32(SOFTNESS)) ** 2
     # A cluster with few neighbors repeats its own number: count it once.
     weight[:, 1:][candidates[:, 1:] == candidates[:, :1]] = 0
     usable = valid[candidates]

@@ -22,11 +22,13 @@ from .lights import Light
 from .progress import shared_progress
 from .visibility.embree import RayPool, Tracer
 
-#: A point is buried when more than this part of its rays meets dark backs.
-BURIED = 0.5
+#: A point is buried when more than this part of its rays meets dark backs. Inside a solid all of them do; under a sheet,
+#: a table's top say, many may, and that shade is real.
+BURIED = 0.8
 
-#: A back counts as dark below this part of the mean radiosity of the scene: no light has found a way to it.
-DARK = 1e-5
+#: A back counts as dark when no light and no sky reaches it directly, and what seeps in stays below this part of the
+#: mean radiosity of all fronts: a patch that lies half within a solid shows some light inside.
+DARK = 0.1
 
 #: Solver: bounces at most, and the change at which it stops, relative to the largest radiosity.
 MAX_SWEEPS = 200
@@ -69,6 +71,7 @@ class PatchSolution:
     buried: np.ndarray = field(init=False)
     active: np.ndarray = field(init=False)
     _met: np.ndarray = field(init=False)
+    _unlit: np.ndarray = field(init=False)
     sweeps: int = 0
     residual: float = 0.0
     rays_traced: int = 0
@@ -81,6 +84,7 @@ class PatchSolution:
         self.active = np.zeros(2 * count, bool)
         self.buried = np.zeros(2 * count, bool)
         self._met = np.zeros(self.hits_to_rows.rows, bool)
+        self._unlit = np.zeros(2 * count, bool)
 
     @property
     def patches(self) -> Patches:
@@ -95,8 +99,9 @@ class PatchSolution:
         """(rows,) bool: backs that no light reaches, and backs that reflect nothing."""
         dark = np.zeros(self.hits_to_rows.rows, bool)
         count = self.patches.count
-        level = DARK * max(float(self.radiosity[:count].max(initial=0)), float(self.table().max()))
-        dark[count : 2 * count] = (self.radiosity[count:].max(axis=1) <= level) & self.active[count:]
+        areas = self.patches.areas[:, None]
+        level = DARK * float(((areas * self.radiosity[:count]).sum(axis=0) / max(areas.sum(), 1e-300)).max())
+        dark[count : 2 * count] = self._unlit[count:] & (self.radiosity[count:].max(axis=1) <= level)
         dark[self.hits_to_rows.black_row] = True
         return dark
 
@@ -143,6 +148,11 @@ class PatchSolution:
         self.rays_traced += rays + self.rays * len(points)
         self._sides.append(_Side(rows, direct.reshape(-1, POINTS, 3), seen, np.ones((len(rows), POINTS), bool)))
         self._met[seen.rows] = True
+        skies = slice(self.hits_to_rows.sky_start, self.hits_to_rows.sky_start + self.hits_to_rows.sky_cells)
+        outside = np.zeros(self.hits_to_rows.rows, bool)
+        outside[skies] = True
+        open_air = outside[seen.rows].any(axis=1).reshape(-1, POINTS).any(axis=1)
+        self._unlit[rows] = ~(open_air | (direct.reshape(len(rows), -1) > 0).any(axis=1))
         self.active[rows] = True
 
     def _find_buried(self) -> None:

@@ -1,4 +1,4 @@
-"""Bakes the Cornell box of examples/ and says where result, picture and report are.
+"""Bakes the Cornell box of examples/ and says where the result, its pictures and the report are.
 
 The first run sets up what it needs in `.venv/`. More options are handed on: `--quality final`, and all others of
 `python -m radiosity bake --help`.
@@ -8,30 +8,47 @@ import environment
 
 environment.enter(__file__, extras=("bpy",))
 
-import subprocess  # noqa: E402  only of use in the environment
+import json  # noqa: E402  only of use in the environment
+import os  # noqa: E402
 import sys  # noqa: E402
 
 
-def main() -> int:
+def bake() -> int:
+    """Bake and print; return the exit status."""
+    import bpy
+    from radiosity.addon.adapters.picture import render_comparison
+    from radiosity.addon.command_line import main
+
     output = environment.ROOT / "output"
     output.mkdir(exist_ok=True)
-    results = {
-        "result": ("--output", output / "cornell_box.blend"),
-        "picture": ("--image", output / "cornell_box.png"),
-        "report": ("--report", output / "cornell_box.json"),
-    }
+    result, picture, report = (output / f"cornell_box{suffix}" for suffix in (".blend", ".png", ".json"))
     example = environment.ROOT / "examples" / "cornell_box.blend"
-    places = [str(part) for option in results.values() for part in option]
-    command = [sys.executable, "-m", "radiosity", "bake", str(example), *places, *sys.argv[1:]]
+    places = ["--output", str(result), "--image", str(picture), "--report", str(report)]
+    status = main(["bake", str(example), *places, *sys.argv[1:]], "scripts/bake_example.py")
+    if status:
+        return status
+    comparison = output / "cornell_box_before_after.png"
+    attribute = json.loads(report.read_text(encoding="utf-8"))["settings"]["attribute_name"]
+    render_comparison(bpy.context, comparison, attribute)  # of the scene that is still open
+    for name, path in (("result", result), ("picture", picture), ("before and after", comparison), ("report", report)):
+        print(f"{name + ':':18}{path}")
+    return 0
+
+
+def run() -> int:
+    """Bake with the add-on registered, which must not be left behind."""
+    import radiosity
+
+    radiosity.register()
     try:
-        status = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode
-    except KeyboardInterrupt:
-        return 130
-    if status == 0:
-        for name, (_, path) in results.items():
-            print(f"{name + ':':9}{path}")
-    return status
+        return bake()
+    finally:
+        radiosity.unregister()
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    status = run()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # Not sys.exit: the bpy module can crash or hang while Python takes itself apart.
+    os._exit(status)

@@ -1,5 +1,6 @@
 """Main panel: what to bake, the button, and progress while it runs."""
 
+from collections import Counter
 from functools import lru_cache
 
 import bpy
@@ -44,8 +45,9 @@ class VIEW3D_PT_radiosity(RadiositySidebar, bpy.types.Panel):
             layout.label(text="Esc stops and changes nothing", icon='INFO')
             return
 
-        text, icon = _receivers(context)
-        layout.label(text=text, icon=icon)
+        column = layout.column(align=True)
+        for text, icon in _receivers(context):
+            column.label(text=text, icon=icon)
         column = layout.column()
         row = column.row()
         row.scale_y = 1.5
@@ -54,17 +56,22 @@ class VIEW3D_PT_radiosity(RadiositySidebar, bpy.types.Panel):
 
 
 def _receivers(context):
-    """Which meshes will take the light, in a line, and its icon: visible before the button is pressed."""
+    """Lines with icons: which meshes will take the light, and what is wrong with them, before the button is pressed."""
     if context.mode != 'OBJECT':
-        return "Switch to Object Mode to bake", 'ERROR'
+        return [("Switch to Object Mode to bake", 'ERROR')]
     selected = [obj for obj in context.selected_objects if obj.type == 'MESH']
     if not selected:
-        return "All rendered meshes receive light", 'OUTLINER_OB_MESH'
+        return [("All rendered meshes receive light", 'OUTLINER_OB_MESH')]
     if not any(len(obj.data.polygons) for obj in selected):
-        return "The selected meshes have no faces", 'ERROR'
+        return [("The selected meshes have no faces", 'ERROR')]
     if len(selected) == 1:
-        return iface_("Receives light: {:s}").format(selected[0].name), 'OUTLINER_OB_MESH'
-    return iface_("Receive light: {:,d} meshes").format(len(selected)), 'OUTLINER_OB_MESH'
+        lines = [(iface_("Receives light: {:s}").format(selected[0].name), 'OUTLINER_OB_MESH')]
+    else:
+        lines = [(iface_("Receive light: {:,d} meshes").format(len(selected)), 'OUTLINER_OB_MESH')]
+    sharing = sum(count for count in Counter(obj.data for obj in selected).values() if count > 1)
+    if sharing and not context.scene.radiosity.make_single_user:
+        lines.append((iface_("{:,d} share a mesh: Make Single User").format(sharing), 'ERROR'))
+    return lines
 
 
 @lru_cache(maxsize=1)

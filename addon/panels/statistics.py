@@ -53,7 +53,7 @@ def _rows(report):
         ("Memory", report["peak_memory_above_start"], _bytes),
         ("Estimated Error", report["estimated_error"], _percent),
         ("Light Absorbed", report["light_absorbed"], _percent),
-        ("Energy Balance", report["energy_balance_error"], _percent),
+        ("Energy Error", report["energy_balance_error"], _percent),
         ("Iterations", report["iterations"], _count),
         ("Converged", report["converged"], lambda value: iface_("Yes") if value else iface_("No")),
     )

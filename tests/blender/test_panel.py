@@ -140,6 +140,18 @@ def test_panel_names_what_will_receive_the_light():
     bpy.ops.object.mode_set(mode='OBJECT')
 
 
+def test_panel_warns_of_a_shared_mesh_until_single_users_are_wanted():
+    bpy.ops.mesh.primitive_cube_add()
+    twin = bpy.context.object.copy()
+    bpy.context.collection.objects.link(twin)
+    twin.select_set(False)
+    assert not any("share a mesh" in label for label in draw())
+    twin.select_set(True)
+    assert "2 share a mesh: Make Single User" in draw()
+    bpy.context.scene.radiosity.make_single_user = True
+    assert not any("share a mesh" in label for label in draw())
+
+
 def test_panel_says_that_the_selection_has_no_faces():
     obj = bpy.data.objects.new("Empty", bpy.data.meshes.new("Empty"))
     bpy.context.collection.objects.link(obj)

@@ -235,6 +235,7 @@ def _patch_solution(
         penumbra_rays=plan.penumbra_rays,
         pool=pool,
         seed=settings.seed,
+        tolerance=plan.tolerance,
     )
 
 

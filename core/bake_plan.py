@@ -27,13 +27,14 @@ FIXED_BYTES = 120_000_000
 class BakePlan:
     """How finely to work.
 
-    `patches` wanted; rays per sample point of a patch; rays per light in a penumbra; and how the indirect light is
-    gathered.
+    `patches` wanted; rays per sample point of a patch; rays per light in a penumbra; the relative change at which the
+    bounces stop; and how the indirect light is gathered.
     """
 
     patches: int
     patch_rays: int
     penumbra_rays: int
+    tolerance: float
     indirect: IndirectSettings
 
 
@@ -44,9 +45,10 @@ def plan_for(accuracy: float) -> BakePlan:
         patches=int(min(max(2700 * effort, 800), 25000)),
         patch_rays=PATCH_RAYS,
         penumbra_rays=_rays(64 * effort**0.6, 16, 256),
+        tolerance=0.002 * accuracy,
         indirect=IndirectSettings(
             rays=_rays(384 * effort**0.5, 128, 1024),
-            coarse_nodes=int(300 * effort**0.7),
+            spacing=3.0 * effort**0.15,
             levels=3,
             tolerance=0.08 * effort**-0.4,
         ),

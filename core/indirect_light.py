@@ -25,17 +25,17 @@ from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 #: sends it.
 NEAR = 0.4
 
-#: With fewer receivers than this many times the coarse nodes, nodes save nothing: gather everywhere.
-DENSE = 4.0
+#: With no more receivers than this, nodes save nothing: gather everywhere.
+DENSE_RECEIVERS = 1200
 
 
 @dataclass(frozen=True)
 class IndirectSettings:
-    """How finely to gather: rays per hemisphere, coarse nodes over the whole surface, levels of refinement, and the
-    relative difference above which a level is refined."""
+    """How finely to gather: rays per hemisphere, spacing of the coarse nodes in sides of a patch, levels of refinement,
+    and the relative difference above which a level is refined."""
 
     rays: int
-    coarse_nodes: int
+    spacing: float
     levels: int
     tolerance: float
 
@@ -124,10 +124,10 @@ def indirect_light(
     """
     gatherer = _Gatherer(solution, receivers, settings.rays, seed)
     count = len(receivers)
-    if count <= DENSE * settings.coarse_nodes:
+    if count <= DENSE_RECEIVERS:
         yield from gatherer.trace(np.arange(count))
         return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, count * settings.rays)
-    spacing = np.sqrt(max(solution.patches.areas.sum(), 1e-12) / settings.coarse_nodes)
+    spacing = solution.patches.spacing * settings.spacing
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
     values, valid = yield from _refine(gatherer, levels, settings)
     finest = levels[-1]

@@ -30,9 +30,8 @@ BURIED = 0.8
 #: mean radiosity of all fronts: a patch that lies half within a solid shows some light inside.
 DARK = 0.1
 
-#: Solver: bounces at most, and the change at which it stops, relative to the largest radiosity.
+#: Bounces at most in one solution.
 MAX_SWEEPS = 200
-TOLERANCE = 1e-5
 
 #: Earlier steps that Anderson's acceleration looks back on.
 MEMORY = 5
@@ -53,7 +52,8 @@ class PatchSolution:
     """Radiosity of fronts and backs, growing as rays meet new backs.
 
     `radiosity` (2P, 3) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
-    `irradiance` (2P, 3) is what arrives. `direct_flux` is the part of it that comes from lights.
+    `irradiance` (2P, 3) is what arrives. The solver stops when a bounce changes the radiosity by less than `tolerance`,
+    RMS by area, relative to the RMS of the radiosity.
     """
 
     tracer: Tracer
@@ -66,6 +66,7 @@ class PatchSolution:
     penumbra_rays: int
     pool: RayPool
     seed: int
+    tolerance: float
     radiosity: np.ndarray = field(init=False)
     irradiance: np.ndarray = field(init=False)
     buried: np.ndarray = field(init=False)
@@ -186,14 +187,20 @@ class PatchSolution:
             image = emitted + rho * self.irradiance
             change = image - radiosity
             self.sweeps += 1
-            self.residual = float(np.abs(change).max() / max(float(image.max(initial=0)), 1e-30))
-            if self.residual <= TOLERANCE:
+            self.residual = self._size(change) / max(self._size(image), 1e-30)
+            if self.residual <= self.tolerance:
                 radiosity = image
                 break
             steps.append(image)
             changes.append(change)
             radiosity = _accelerated(steps[-MEMORY:], changes[-MEMORY:])
         self.radiosity = np.maximum(radiosity, 0)
+
+    def _size(self, values: np.ndarray) -> float:
+        """RMS of (2P, 3) values, weighted by area."""
+        areas = self.patches.areas
+        squares = (values.astype(np.float64) ** 2).sum(axis=1)
+        return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
 
     @property
     def emitted(self) -> np.ndarray:
@@ -209,7 +216,7 @@ class PatchSolution:
     @property
     def converged(self) -> bool:
         """Whether the solver met its tolerance."""
-        return self.residual <= TOLERANCE
+        return self.residual <= self.tolerance
 
 
 def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarray:

@@ -43,14 +43,14 @@ class Patches:
     ----------
     count : int
         Number of patches (P).
+    spacing : float
+        Side that a cell is meant to have, in unit lengths.
     first : (m,) int32
         Patch of the first cell of each triangle.
     divisions : (m,) float32
         Cells along a side of each triangle, 1 where the triangle is a cell or lies in a cluster.
     areas : (P,) float64
         In unit lengths squared.
-    sizes : (P,) float32
-        Square root of the area.
     points, normals : (P, POINTS, 3) float32
         Sample points on the front and the geometric normals there.
     point_triangles : (P, POINTS) int32
@@ -62,6 +62,7 @@ class Patches:
     """
 
     count: int
+    spacing: float
     first: np.ndarray
     divisions: np.ndarray
     areas: np.ndarray
@@ -70,11 +71,6 @@ class Patches:
     point_triangles: np.ndarray
     point_weights: np.ndarray
     splits: np.ndarray | None = None
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """(P,) side of a square as large as each patch."""
-        return np.sqrt(self.areas).astype(np.float32)
 
     def at(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Patch (n,) int32 at hits given by triangle and barycentric weights of its second and third corner."""
@@ -125,10 +121,31 @@ def _triangle_shape(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     return double / 2, cross / np.maximum(double, 1e-300)[:, None], longest
 
 
-def _divisions(areas: np.ndarray, longest: np.ndarray, size: float) -> np.ndarray:
+def _divisions(areas: np.ndarray, longest: np.ndarray, size: float, most: float) -> np.ndarray:
     # A compact triangle is cut by its side; a thin one by the mean of its two extents, or it would become dust.
     extent = np.sqrt(np.sqrt(areas) * longest / 2)
-    return np.clip(np.ceil(extent / size - 0.25), 1, MAX_DIVISIONS)
+    return np.clip(np.ceil(extent / size - 0.25), 1, most)
+
+
+def _choose_size(areas: np.ndarray, longest: np.ndarray, target: int) -> tuple[float, np.ndarray]:
+    """Side of a cell in unit lengths, and the divisions of each triangle, for about `target` cells of big triangles.
+
+    No triangle gets more than a tenth of them: a ground plane around a house must not take the cells away from it.
+    """
+    most = min(max(2.0, np.sqrt(target / 10)), MAX_DIVISIONS)
+    high = np.sqrt(areas.sum() / max(target, 1))
+    low = high / 1024
+    divisions = _divisions(areas, longest, high, most)
+    if (divisions[divisions > 1] ** 2).sum() < target:
+        for _ in range(12):
+            size = np.sqrt(low * high)
+            divisions = _divisions(areas, longest, size, most)
+            small = areas[divisions <= 1].sum() / size**2
+            if (divisions[divisions > 1] ** 2).sum() + small < target:
+                high = size
+            else:
+                low = size
+    return high, _divisions(areas, longest, high, most)
 
 
 def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray, target: int) -> Patches:
@@ -151,13 +168,7 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     """
     corners = np.asarray(vertices, dtype=np.float64)[triangles]
     areas, normals, longest = _triangle_shape(corners)
-    size = np.sqrt(areas.sum() / max(target, 1))
-    divisions = _divisions(areas, longest, size)
-    # Thin triangles cost more cells than their area says; one correction brings the number back to the target.
-    excess = (divisions[divisions > 1] ** 2).sum() / max(target, 1)
-    if excess > 1.5:
-        size *= np.sqrt(excess)
-        divisions = _divisions(areas, longest, size)
+    size, divisions = _choose_size(areas, longest, target)
     whole = divisions > 1
     small = np.nonzero(~whole)[0]
     clusters, representatives = _cluster(corners[small], areas[small], normals[small], looks[small], size)
@@ -181,6 +192,7 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     points = np.einsum("pcw,pcwi->pci", weights, corners[point_triangles])
     return Patches(
         count=count,
+        spacing=float(size),
         first=first,
         divisions=divisions.astype(np.float32),
         areas=patch_areas,
@@ -300,6 +312,7 @@ def split_cells(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, c
     areas[cells] = 0
     return Patches(
         count=patches.count + len(owner),
+        spacing=patches.spacing,
         first=patches.first,
         divisions=patches.divisions,
         areas=areas,

@@ -116,7 +116,9 @@ class Environment:
             raise InvalidPolygonError(f"Polygon {crossing[0]} crosses itself: reorder its corners or split it")
         messages = []
         if flat.any():
-            messages.append(f"{_name(np.flatnonzero(flat))} without area: left out, all its form factors are 0")
+            messages.append(
+                f"{_name(np.flatnonzero(flat), 'Polygon')} without area: left out, all its form factors are 0"
+            )
         sides = np.broadcast_to(np.asarray(two_sided, dtype=bool), (len(loops),)).copy()
         environment = cls(
             polygons=tuple(loops),
@@ -148,19 +150,20 @@ def clamp_reflectance(reflectance: np.ndarray, messages: list[str]) -> np.ndarra
     """
     bad = np.flatnonzero(np.isnan(reflectance).reshape(len(reflectance), -1).any(axis=1))
     if len(bad):
-        raise SettingsError(f"Reflectance of {_name(bad).lower()} is not a number: give 0 to 1")
+        raise SettingsError(f"Reflectance of {_name(bad, 'patch')} is not a number: give 0 to 1")
     clamped = np.clip(reflectance, 0, 1)
     changed = np.flatnonzero((clamped != reflectance).reshape(len(reflectance), -1).any(axis=1))
     if len(changed):
-        messages.append(f"{_name(changed)} with a reflectance outside 0 to 1: clamped")
+        messages.append(f"{_name(changed, 'Patch')} with a reflectance outside 0 to 1: clamped")
     return clamped
 
 
-def _name(rows: np.ndarray) -> str:
-    """Names of a few polygons, and how many more."""
+def _name(rows: np.ndarray, noun: str) -> str:
+    """Numbers of a few patches or polygons, and how many more."""
     text = ", ".join(str(row) for row in rows[:5])
     more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
-    return f"Polygon{'s' if len(rows) > 1 else ''} {text}{more}"
+    plural = "es" if noun.endswith("ch") else "s"
+    return f"{noun}{plural if len(rows) > 1 else ''} {text}{more}"
 
 
 def _check_corners(loops: list[np.ndarray]) -> None:
@@ -194,7 +197,7 @@ def _per_patch(label: str, values: float | np.ndarray, count: int) -> np.ndarray
 def _check_emission(emission: np.ndarray) -> np.ndarray:
     bad = np.flatnonzero(~(np.isfinite(emission) & (emission >= 0)).all(axis=1))
     if len(bad):
-        raise SettingsError(f"Emission of {_name(bad).lower()} must be finite and 0 or more")
+        raise SettingsError(f"Emission of {_name(bad, 'patch')} must be finite and 0 or more")
     return emission
 
 

@@ -121,7 +121,7 @@ def test_no_polygon_is_an_error():
 
 @pytest.mark.parametrize("value, clamped", [(1.2, 1.0), (-0.1, 0.0)])
 def test_reflectance_out_of_range_is_clamped_with_a_warning(value, clamped):
-    with pytest.warns(UserWarning, match="Polygon 1 with a reflectance outside 0 to 1"):
+    with pytest.warns(UserWarning, match="Patch 1 with a reflectance outside 0 to 1"):
         environment = core.Environment.from_polygons([SQUARE, ARROW], reflectance=[0.5, value])
     assert environment.reflectance[1].tolist() == [clamped] * 3
 
@@ -129,9 +129,9 @@ def test_reflectance_out_of_range_is_clamped_with_a_warning(value, clamped):
 @pytest.mark.parametrize(
     "arguments, reason",
     [
-        ({"reflectance": [0.5, np.nan]}, "Reflectance of polygon 1 is not a number"),
-        ({"emission": [-1.0, 0.0]}, "Emission of polygon 0"),
-        ({"emission": [[0, 0, np.inf], [0, 0, 0]]}, "Emission of polygon 0"),
+        ({"reflectance": [0.5, np.nan]}, "Reflectance of patch 1 is not a number"),
+        ({"emission": [-1.0, 0.0]}, "Emission of patch 0"),
+        ({"emission": [[0, 0, np.inf], [0, 0, 0]]}, "Emission of patch 0"),
         ({"reflectance": [0.5, 0.5, 0.5]}, r"Reflectance must be .* not of shape \(3,\)"),
     ],
 )

@@ -150,6 +150,20 @@ def test_contour_and_quadrature_meet_at_their_border(polygon):
         assert value == pytest.approx(area / (np.pi * distance**2), rel=1e-8)
 
 
+@pytest.mark.parametrize("distance", [1e6, 1e8])
+def test_far_factors_keep_their_digits_at_any_slant(distance):
+    generator = np.random.default_rng(5)
+    directions = unit_vectors(generator, 500) * [1, 1, -1]
+    directions[:, 2] = -np.abs(directions[:, 2])
+    normals = unit_vectors(generator, 500)
+    values = point_to_polygon(distance * directions, normals, SQUARE)
+    cosines = np.maximum(-np.einsum("ni,ni->n", directions, normals), 0)
+    wanted = cosines * -directions[:, 2] / (np.pi * distance**2)
+    # Where the receiver looks aside, the light's extent matters: one size over the distance.
+    plain = cosines > 1e-2
+    np.testing.assert_allclose(values[plain], wanted[plain], rtol=1e-10 if distance > 1e7 else 1e-8)
+
+
 @pytest.mark.parametrize("scale, shift", [(1e-5, 0), (1e5, 0), (1, 1e5), (1e-5, 1)])
 def test_scale_and_place_do_not_matter(scale, shift):
     generator = np.random.default_rng(3)

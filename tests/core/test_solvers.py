@@ -168,7 +168,7 @@ def test_faint_and_bright_channels_are_equally_right(method):
 
 @pytest.mark.parametrize("value", [1.2, -0.1])
 def test_reflectance_out_of_range_is_clamped_with_a_warning(value):
-    with pytest.warns(UserWarning, match="Polygon 1 with a reflectance outside 0 to 1: clamped"):
+    with pytest.warns(UserWarning, match="Patch 1 with a reflectance outside 0 to 1: clamped"):
         solution = core.solve_radiosity([[0, 0.5], [0.5, 0]], [0.5, value], [1.0, 0.0])
     same = core.solve_radiosity([[0, 0.5], [0.5, 0]], [0.5, np.clip(value, 0, 1)], [1.0, 0.0])
     assert np.array_equal(solution.radiosity, same.radiosity)
@@ -217,7 +217,7 @@ def test_malformed_systems_are_refused(arguments, reason):
         ({"tolerance": np.nan}, "Tolerance"),
         ({"max_iterations": -1}, "Maximum iterations"),
         ({"emission": [np.nan, 0.0]}, "Emission of patch 0"),
-        ({"reflectance": [0.5, np.nan]}, "Reflectance of polygon 1 is not a number"),
+        ({"reflectance": [0.5, np.nan]}, "Reflectance of patch 1 is not a number"),
     ],
 )
 def test_unusable_settings_are_refused(choices, reason):

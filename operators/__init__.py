@@ -1,22 +1,22 @@
-"""Operators, one a file. Importing this package needs no bpy; `register` imports what it registers."""
+"""Operators, one a file. Importing this package needs no bpy; `register` imports what it registers.
+
+A file with a class RADIOSITY_OT_... is all that a new operator needs.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from pkgutil import iter_modules
+
 
 def _classes():
-    from .bake import RADIOSITY_OT_bake
-    from .clear import RADIOSITY_OT_clear
-    from .preview_material import RADIOSITY_OT_preview_material
-    from .stop import RADIOSITY_OT_stop
-    from .subdivide import RADIOSITY_OT_subdivide
-
-    return (
-        RADIOSITY_OT_bake,
-        RADIOSITY_OT_stop,
-        RADIOSITY_OT_subdivide,
-        RADIOSITY_OT_preview_material,
-        RADIOSITY_OT_clear,
-    )
+    modules = [import_module(f".{found.name}", __package__) for found in iter_modules(__path__)]
+    return [
+        cls
+        for module in modules
+        for name, cls in vars(module).items()
+        if name.startswith("RADIOSITY_OT_") and cls.__module__ == module.__name__
+    ]
 
 
 def register() -> None:

@@ -175,6 +175,16 @@ def test_second_bake_does_not_forget_the_first_shading(room):
     assert area.spaces.active.shading.type == 'WIREFRAME'
 
 
+def test_third_bake_does_not_take_later_shading_for_the_first(room):
+    area = next(area for area in bpy.context.screen.areas if area.type == 'VIEW_3D')
+    shading = area.spaces.active.shading
+    bake(show_in_viewport=True)
+    shading.light = 'MATCAP'
+    bake(show_in_viewport=True)
+    bpy.ops.radiosity.clear()
+    assert (shading.type, shading.light, shading.color_type) == ('SOLID', 'STUDIO', 'MATERIAL')
+
+
 def test_clear_is_refused_in_edit_mode(room):
     bake()
     bpy.context.view_layer.objects.active = room[0]

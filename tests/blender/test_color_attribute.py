@@ -113,6 +113,20 @@ def state_of(mesh):
     )
 
 
+@pytest.mark.parametrize("domain", ['CORNER', 'POINT'])
+def test_active_attribute_of_the_list_stays_what_it_was(meshes, domain):
+    """Blender keeps it by index, and a new attribute may come to stand before it."""
+    mesh = meshes[0]
+    for name in ("position", "UVMap"):
+        mesh.attributes.active = mesh.attributes[name]
+        write_color_attributes(
+            [(mesh, flat_colors(random_colors(mesh, domain)))], f"Light {name}", domain, 'FLOAT_COLOR'
+        )
+        assert mesh.attributes.active.name == name
+    remove_color_attributes(mesh)
+    assert mesh.attributes.active.name == "UVMap"
+
+
 def test_wrong_size_is_refused_before_any_mesh_is_touched(meshes):
     before = [state_of(mesh) for mesh in meshes]
     good, bad = flat_colors(random_colors(meshes[0], 'CORNER')), np.zeros(8, np.float32)

@@ -81,6 +81,7 @@ def test_arguments_of_the_bake_have_the_names_of_the_settings():
         'threads',
     }  # fmt: skip
     assert promised <= arguments
+    assert all(bpy.ops.radiosity.bake.get_rna_type().properties[name].is_skip_save for name in arguments)
     assert arguments <= set(bpy.context.scene.radiosity.bl_rna.properties.keys())
 
 

@@ -179,18 +179,18 @@ def remove_color_attributes(mesh: bpy.types.Mesh) -> bool:
     if not state:
         return False
     before = _Before(mesh)
-    names = baked_attributes(mesh)
-    for name in names:
+    for name in baked_attributes(mesh):
         mesh.attributes.remove(mesh.attributes[name])
     # What the artist made active since then stays so.
     for attribute, current, former in (
         ("active_color_name", before.active_color, state["active"]),
         ("default_color_name", before.render_color, state["render"]),
     ):
-        if current not in names:
+        if current not in state["attributes"]:
             former = current
         elif former and not is_color_attribute(mesh, former):
-            former = next((other.name for other in mesh.color_attributes), "")
+            # Without any other it stays: Blender 5.2 keeps the name of an attribute that is gone.
+            former = next((other.name for other in mesh.color_attributes), former)
         setattr(mesh.attributes, attribute, former)
     before.restore_active_attribute(mesh)
     del mesh[STATE_KEY]

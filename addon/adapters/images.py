@@ -1,10 +1,11 @@
-"""Images as linear pixels, and how they are looked up.
+"""Images as pixels, and how they are looked up.
 
-Pixels are asked from Blender once per image, kept as float32 in scene-linear Rec. 709 with the alpha multiplied in, and
-images with more than `MAX_SIDE` pixels on a side are reduced by area averaging: the bake uses means over patches, to
-which finer detail adds nothing. Known limits: of a tiled image (UDIM) only the first tile is read, of a movie or
-sequence the current frame; color spaces other than those named here are taken for sRGB (bytes) or linear (floats), and
-a warning says so.
+Pixels are asked from Blender once per image and kept as float32. Images with more than `MAX_SIDE` pixels on a side are
+reduced by area averaging of their linear colors: the bake uses means over patches, to which finer detail adds nothing.
+As in Cycles, bytes in sRGB are interpolated before they are decoded, and alpha is multiplied into the colors as they
+are stored; where a material uses the alpha too, it is divided out again before decoding. Known limits: of a tiled image
+(UDIM) only the first tile is read, of a movie or sequence the current frame; color spaces other than those named here
+are taken for sRGB (bytes) or linear (floats), and a warning says so.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _DATA_SPACES = {'Non-Color', 'Raw', 'Generic Data'}
 
 @dataclass(frozen=True)
 class Texture:
-    """Linear pixels of an image.
+    """Pixels of an image.
 
     Parameters
     ----------
@@ -32,15 +33,32 @@ class Texture:
         Bottom row first; alpha is multiplied into the colors unless `is_straight`.
     is_straight : bool
         Whether colors and alpha are unrelated (no alpha, data, packed channels).
+    is_encoded : bool
+        Whether colors are encoded in sRGB, else scene-linear.
     """
 
     pixels: np.ndarray
     is_straight: bool
+    is_encoded: bool
+
+    def colors(self, pixels: np.ndarray, divide_alpha: bool) -> np.ndarray:
+        """(n, 4) linear colors of pixels (n, 4) that were looked up, with the alpha divided out on request."""
+        colors, alpha = pixels[:, :3], pixels[:, 3:]
+        if divide_alpha and not self.is_straight:
+            colors = colors / np.where(alpha == 0, 1, alpha)
+        if self.is_encoded:
+            colors = srgb_to_linear(colors)
+        return np.concatenate([colors, alpha], axis=1)
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
     """Decode the sRGB transfer curve (IEC 61966-2-1) elementwise."""
     return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(values: np.ndarray) -> np.ndarray:
+    """Inverse of `srgb_to_linear`."""
+    return np.where(values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
 class ImageLibrary:
@@ -75,18 +93,32 @@ class ImageLibrary:
             self.problems.append(("tiled", image.name))
         space = image.colorspace_settings.name
         is_data = space in _DATA_SPACES
-        if not image.is_float and not is_data and space not in _LINEAR_SPACES:
-            if space != 'sRGB':
-                self.problems.append(("color space", f"{image.name} ({space})"))
-            # A table of all byte values is exact and many times faster than the power function per pixel.
-            table = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
-            pixels[..., :3] = table[np.rint(np.clip(pixels[..., :3], 0, 1) * 255).astype(np.uint8)]
+        is_encoded = not image.is_float and not is_data and space not in _LINEAR_SPACES
+        if space != 'sRGB' and not is_data and space not in _LINEAR_SPACES:
+            self.problems.append(("color space", f"{image.name} ({space})"))
         is_straight = is_data or image.alpha_mode in ('NONE', 'CHANNEL_PACKED')
         if image.alpha_mode == 'NONE':
             pixels[..., 3] = 1
-        if not is_straight and not image.is_float:  # Blender keeps bytes straight and floats multiplied
+        if max(rows, columns) > max_side:
+            pixels = _reduce(pixels, max_side, is_encoded, is_straight, image.is_float)
+        elif not is_straight and not image.is_float:  # Blender keeps bytes straight and floats multiplied
             pixels[..., :3] *= pixels[..., 3:]
-        return Texture(reduce_by_area(pixels, max_side), is_straight)
+        return Texture(pixels, is_straight, is_encoded)
+
+
+def _reduce(pixels, max_side, is_encoded, is_straight, is_multiplied):
+    """Average linear light over area, and return to how the pixels of a `Texture` are kept."""
+    if is_encoded:
+        # A table of all byte values is exact and many times faster than the power function per pixel.
+        table = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+        pixels[..., :3] = table[np.rint(np.clip(pixels[..., :3], 0, 1) * 255).astype(np.uint8)]
+    if not is_straight and not is_multiplied:
+        pixels[..., :3] *= pixels[..., 3:]
+    pixels = reduce_by_area(pixels, max_side)
+    if is_encoded:
+        alpha = 1 if is_straight else pixels[..., 3:]
+        pixels[..., :3] = linear_to_srgb(pixels[..., :3] / np.where(alpha == 0, 1, alpha)) * alpha
+    return pixels
 
 
 def _four_channels(pixels: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ def _color_ramp(inputs, output):
     ramp = inputs.node.color_ramp
     places = np.linspace(0, 1, node_math.TABLE_SIZE)
     table = np.array([ramp.evaluate(place) for place in places], dtype=np.float32)
-    table = table[:, 3:] if output.name == "Alpha" else table[:, :3]
+    table = table[:, 3:] if output.identifier == "Alpha" else table[:, :3]
     is_stepped = ramp.interpolation == 'CONSTANT'
     return combine(lambda place: node_math.look_up_table(table, place, is_stepped), inputs.get("Fac"))
 

@@ -32,28 +32,21 @@ def _image_pixels(inputs, max_side):
         return constant(MISSING_GRAY, MISSING_GRAY, MISSING_GRAY, 1)
     pixels, interpolation = texture.pixels, node.interpolation
     alpha_output = node.outputs.get("Alpha")
-    is_divided = not texture.is_straight and alpha_output is not None and alpha_output.is_linked
-
-    def finish(colors):
-        if not is_divided:  # Cycles leaves alpha multiplied in where only the color is used
-            return colors
-        alpha = colors[:, 3:]
-        return np.concatenate([colors[:, :3] / np.where(alpha == 0, 1, alpha), alpha], axis=1)
+    divide_alpha = alpha_output is not None and alpha_output.is_linked
 
     if node.bl_idname == 'ShaderNodeTexEnvironment':
         if node.projection != 'EQUIRECTANGULAR':
             return None
         place = inputs.coordinates("Vector", otherwise='object')
         return combine(
-            lambda vectors: finish(_look_around(pixels, vectors, interpolation)),
-            place,
+            lambda vectors: texture.colors(_look_around(pixels, vectors, interpolation), divide_alpha), place
         )
     if node.projection != 'FLAT':
         inputs.compiler.report(node)  # the mean color is right for a patch that is not much smaller than the image
-        return constant(*finish(pixels.reshape(-1, 4).mean(0, keepdims=True))[0])
+        return constant(*texture.colors(pixels.reshape(-1, 4), divide_alpha).mean(0))
     extension = node.extension
     place = inputs.coordinates("Vector", otherwise='uv')
-    return combine(lambda uv: finish(look_up(pixels, uv, extension, interpolation)), place)
+    return combine(lambda uv: texture.colors(look_up(pixels, uv, extension, interpolation), divide_alpha), place)
 
 
 def _look_around(pixels, vectors, interpolation):
@@ -70,7 +63,7 @@ def _image_texture(inputs, output):
     pixels = inputs.compiler.remember((*inputs.key, "pixels"), lambda: _image_pixels(inputs, inputs.compiler.max_side))
     if pixels is None:
         return None
-    part = slice(3, 4) if output.name == "Alpha" else slice(0, 3)
+    part = slice(3, 4) if output.identifier == "Alpha" else slice(0, 3)
     return combine(lambda array: array[:, part], pixels)
 
 
@@ -89,9 +82,9 @@ def _uv_map(inputs, output):
 
 def _part_of_color(color: Field, output) -> Field:
     """Color, Vector, Fac (mean) or Alpha of a four-column attribute."""
-    if output.name == "Alpha":
+    if output.identifier == "Alpha":
         return combine(lambda array: array[:, 3:], color)
-    if output.name == "Fac":
+    if output.identifier == "Fac":
         return combine(lambda array: array[:, :3].mean(1, keepdims=True), color)
     return combine(lambda array: array[:, :3], color)
 
@@ -118,10 +111,10 @@ def _checker(inputs, output):
 
     def factor(vectors, scale):
         cells = np.floor(vectors * scale + 1e-6 * np.sign(scale)).astype(np.int64)
-        return 1.0 - (cells.sum(1, keepdims=True) % 2)
+        return 1.0 * (cells.sum(1, keepdims=True) % 2)
 
     share = combine(factor, place, inputs.get("Scale"))
-    if output.name == "Fac":
+    if output.identifier == "Fac":
         return share
     return combine(lambda t, a, b: np.where(t > 0, a, b), share, inputs.get("Color1"), inputs.get("Color2"))
 
@@ -144,7 +137,7 @@ def _gradient(inputs, output):
         return np.clip(share, 0, 1)[:, None]
 
     share = combine(value, inputs.coordinates("Vector", otherwise='generated'))
-    return share if output.name == "Fac" else convert(share, 'VALUE', 'RGBA')
+    return share if output.identifier == "Fac" else convert(share, 'VALUE', 'RGBA')
 
 
 def _geometry(inputs, output):
@@ -157,7 +150,7 @@ def _light_path(inputs, output):
 
 def _mean_over_directions(function):
     """Mean over the hemisphere, as a diffuse surface sees it, of (n, 1) -> (n, m) at m cosines."""
-    cosines = np.sqrt((np.arange(64) + 0.5) / 64)[None, :]  # equal steps in cos^2 are equal shares of diffuse light
+    cosines = np.sqrt((np.arange(256) + 0.5) / 256)[None, :]  # equal steps in cos^2 are equal shares of diffuse light
     return lambda *arrays: function(cosines, *arrays).mean(1, keepdims=True)
 
 

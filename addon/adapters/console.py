@@ -6,11 +6,12 @@ runs.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from typing import TextIO
 
 # Seconds between lines where standard error is a file or a pipe: enough to see that it lives, few enough to read.
@@ -27,18 +28,28 @@ def own_output(verbose: bool) -> Iterator[TextIO]:
 
     With `verbose` it goes to standard error instead.
     """
-    sys.stdout.flush()
+    _flush()
     real = os.dup(1)
-    target = os.dup(2) if verbose else os.open(os.devnull, os.O_WRONLY)
-    os.dup2(target, 1)
-    os.close(target)
+    noise = os.dup(2) if verbose else os.open(os.devnull, os.O_WRONLY)
+    os.dup2(noise, 1)
     try:
-        with os.fdopen(real, "w", encoding="utf-8", errors="backslashreplace", closefd=False) as stream:
+        with (
+            open(real, "w", encoding="utf-8", errors="backslashreplace", closefd=False) as stream,
+            open(noise, "w", encoding="utf-8", errors="backslashreplace") as noise_stream,
+            redirect_stdout(noise_stream),  # Python's own may lead elsewhere than to descriptor 1
+        ):
             yield stream
     finally:
-        sys.stdout.flush()
+        _flush()
         os.dup2(real, 1)
         os.close(real)
+
+
+def _flush() -> None:
+    """Write out what Python and C have kept back, so that it goes where standard output leads now."""
+    sys.stdout.flush()
+    library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
+    library.fflush(None)
 
 
 def duration(seconds: float) -> str:

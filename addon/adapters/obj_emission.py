@@ -23,7 +23,7 @@ def restore_emission(path: Path) -> None:
     """
     for name, color in _emissive_materials(path).items():
         material = bpy.data.materials.get(name)
-        if material is None or not material.use_nodes:
+        if material is None or material.node_tree is None:
             continue
         for node in material.node_tree.nodes:
             if node.type == 'BSDF_PRINCIPLED' and node.inputs["Emission Strength"].default_value == 0.0:

@@ -105,6 +105,8 @@ def add_lamp(kind: str, location, energy: float, rotation=(0.0, 0.0, 0.0), **set
 
 def select_only(*objects: bpy.types.Object) -> None:
     """Select these and nothing else; the first becomes active."""
+    # Selection belongs to the view layer, which learns of newly linked objects only now.
+    bpy.context.view_layer.update()
     for obj in bpy.context.view_layer.objects:
         obj.select_set(obj in objects)
     bpy.context.view_layer.objects.active = objects[0]
@@ -226,6 +228,7 @@ def floor_with_blocker(light: Callable[[], object], vertices: int = 2_500) -> bp
 FLOOR_LIGHTS: dict[str, Callable[[], object]] = {
     "point": lambda: add_lamp('POINT', (0.4, -0.3, 3), 400, shadow_soft_size=0.0, color=(1, 0.8, 0.5)),
     "point with radius": lambda: add_lamp('POINT', (0.4, -0.3, 3), 400, shadow_soft_size=0.4),
+    "point as a sphere": lambda: add_lamp('POINT', (0.4, -0.3, 3), 400, shadow_soft_size=0.4, use_soft_falloff=False),
     "spot": lambda: add_lamp(
         'SPOT', (0.4, -0.3, 3), 800, (0.1, 0.15, 0), spot_size=1.4, spot_blend=0.3, shadow_soft_size=0.0
     ),

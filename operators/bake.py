@@ -181,8 +181,7 @@ def _is_over_panel(context, event):
                 and 0 <= event.mouse_x - region.x < region.width
                 and 0 <= event.mouse_y - region.y < region.height
             )
-            # Blender 4.2.0 may not tell the tab: then only Esc stops.
-            if inside and getattr(region, "active_panel_category", None) == _PANEL_TAB:
+            if inside and region.active_panel_category == _PANEL_TAB:
                 return True
     return False
 

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import bpy
@@ -20,8 +21,16 @@ from radiosity.core.settings import BAKE_TYPES, METHODS
 
 from tests.scenes import box, grid
 
+
+def is_installed():
+    try:
+        return bool(version("radiosity"))
+    except PackageNotFoundError:
+        return False
+
+
 needs_own_process = pytest.mark.skipif(
-    bool(bpy.app.binary_path), reason="inside the program Python cannot start a second Blender as a module"
+    not is_installed(), reason="the package is not installed beside the bpy module, as inside the program"
 )
 
 

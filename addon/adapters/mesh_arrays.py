@@ -66,13 +66,15 @@ def _read(collection, name: str, dtype, width: int = 1) -> np.ndarray:
     return values if width == 1 else values.reshape(-1, width)
 
 
-def read_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
+def read_mesh(mesh: bpy.types.Mesh, with_triangles: bool = True) -> MeshArrays:
     """Copy the geometry of a mesh, original or evaluated.
 
     Parameters
     ----------
     mesh : bpy.types.Mesh
         Triangles are computed on it where they are missing; nothing else changes.
+    with_triangles : bool
+        Whether triangles are wanted, which take longer than all the rest.
 
     Returns
     -------
@@ -91,14 +93,18 @@ def read_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
         if "material_index" in attributes
         else np.zeros(len(mesh.polygons), dtype=np.int32)
     )
-    mesh.calc_loop_triangles()
+    triangle_corners, triangle_faces = np.empty((0, 3), dtype=np.int32), np.empty(0, dtype=np.int32)
+    if with_triangles:
+        mesh.calc_loop_triangles()
+        triangle_corners = _read(mesh.loop_triangles, "loops", np.int32, 3)
+        triangle_faces = _read(mesh.loop_triangle_polygons, "value", np.int32)
     return MeshArrays(
         positions=read_positions(mesh),
         corner_vertices=corner_vertices,
         face_offsets=np.append(face_starts, np.int32(len(corner_vertices))),
-        face_materials=face_materials,
-        triangle_corners=_read(mesh.loop_triangles, "loops", np.int32, 3).reshape(-1, 3),
-        triangle_faces=_read(mesh.loop_triangle_polygons, "value", np.int32),
+        face_materials=np.maximum(face_materials, 0),
+        triangle_corners=triangle_corners,
+        triangle_faces=triangle_faces,
     )
 
 
@@ -106,12 +112,12 @@ def read_positions(mesh: bpy.types.Mesh) -> np.ndarray:
     """(v, 3) float32 vertex positions in the mesh's own space."""
     if "position" in mesh.attributes:
         return _read(mesh.attributes["position"].data, "vector", np.float32, 3)
-    return _read(mesh.vertices, "co", np.float32, 3).reshape(-1, 3)
+    return _read(mesh.vertices, "co", np.float32, 3)
 
 
 def read_corner_normals(mesh: bpy.types.Mesh) -> np.ndarray:
     """(c, 3) float32 normals per face corner in the mesh's own space: smooth, flat, sharp or custom as shown."""
-    return _read(mesh.corner_normals, "vector", np.float32, 3).reshape(-1, 3)
+    return _read(mesh.corner_normals, "vector", np.float32, 3)
 
 
 def has_same_topology(mesh: bpy.types.Mesh, other: bpy.types.Mesh) -> bool:

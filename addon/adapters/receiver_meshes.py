@@ -19,7 +19,7 @@ from .materials import MaterialLibrary
 from .mesh_arrays import has_same_topology, read_corner_attribute, read_corner_normals, read_mesh
 from .render_visibility import rendered_objects
 from .surface_shader import evaluate
-from .surfaces import is_mirrored, transform_normals, transform_points
+from .surfaces import transform_normals, transform_points
 
 #: Modifiers that leave vertices, edges and faces as they are.
 _DEFORMING = frozenset(
@@ -72,10 +72,11 @@ def choose_receivers(context: bpy.types.Context, receivers: Sequence[bpy.types.O
                 raise EmptySceneError("The scene has no mesh that renders: add one, or show one to the render")
     else:
         selected = list(dict.fromkeys(receivers))
+    present = set(view_layer.objects)
     chosen: dict[bpy.types.Mesh, bpy.types.Object] = {}
     skipped, shared = [], []
     for obj in selected:
-        reason = _reason_to_skip(obj, view_layer)
+        reason = _reason_to_skip(obj, present)
         if reason is None and obj.data in chosen:
             other = chosen[obj.data].name
             reason = f"shares its mesh with {other}, and only one can be baked: make it single-user"
@@ -90,10 +91,10 @@ def choose_receivers(context: bpy.types.Context, receivers: Sequence[bpy.types.O
     return ReceiverChoice(tuple(chosen.values()), tuple(skipped), tuple(shared))
 
 
-def _reason_to_skip(obj, view_layer) -> str | None:
+def _reason_to_skip(obj, present: set[bpy.types.Object]) -> str | None:
     if obj.type != 'MESH':
         return "is not a mesh: convert it to one"
-    if obj.name not in view_layer.objects:
+    if obj not in present:
         return "is not in the view layer"
     if obj.data.library is not None or not obj.data.is_editable:
         return "has a mesh linked from another file: make it local"
@@ -128,7 +129,7 @@ def read_receivers(
     changed = []
     for obj in objects:
         evaluated = obj.evaluated_get(depsgraph)
-        if has_same_topology(evaluated.data, obj.data):
+        if not obj.modifiers or has_same_topology(evaluated.data, obj.data):
             meshes[obj] = _read_receiver(obj, evaluated.data, evaluated.matrix_world, materials)
         else:
             changed.append(obj)
@@ -167,10 +168,11 @@ def _switched_off(context: bpy.types.Context, modifiers: Sequence[bpy.types.Modi
 
 
 def _read_receiver(obj, mesh, matrix, materials) -> ReceiverMesh:
-    arrays = read_mesh(mesh)
+    arrays = read_mesh(mesh, with_triangles=False)
+    flipped = matrix.is_negative
     matrix = np.array(matrix, dtype=np.float64)
     slots = [materials.override or slot.material for slot in obj.material_slots] or [materials.override]
-    slot_rows = np.clip(arrays.face_materials, 0, len(slots) - 1)
+    slot_rows = np.minimum(arrays.face_materials, len(slots) - 1)
     used = np.isin(np.arange(len(slots)), slot_rows)
     looks = [materials.look(slot if use else None) for slot, use in zip(slots, used, strict=True)]
     values = [(np.zeros(3), np.zeros(3), 0.0) if look.attributes else look.values for look in looks]
@@ -190,7 +192,7 @@ def _read_receiver(obj, mesh, matrix, materials) -> ReceiverMesh:
         palette_emission=emission,
         corner_reflectance=colors[0],
         corner_emission=colors[1],
-        flipped=bool(is_mirrored(matrix[None])[0]),
+        flipped=flipped,
     )
 
 

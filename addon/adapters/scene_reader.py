@@ -23,7 +23,7 @@ from .materials import Look, MaterialLibrary, join_names
 from .mesh_arrays import MeshArrays, read_corner_attribute, read_mesh
 from .receiver_meshes import choose_receivers, read_receivers
 from .render_visibility import instanced_objects, rendered_objects, shown_as_rendered
-from .surfaces import Placement, build_surfaces, is_mirrored
+from .surfaces import Placement, build_surfaces
 from .world import read_world
 
 
@@ -126,11 +126,12 @@ class _Reader:
             obj = instance.object
             if obj.type not in ('MESH', 'LIGHT') or not instance.show_self or not self._is_rendered(instance):
                 continue
-            matrix = np.array(instance.matrix_world, dtype=np.float64)
+            placed = instance.matrix_world
+            matrix = np.array(placed, dtype=np.float64)
             if obj.type == 'LIGHT':
                 self._add_lamp(obj, matrix)
             else:
-                self._add_mesh(obj, matrix)
+                self._add_mesh(obj, matrix, placed.is_negative)
 
     def warnings(self) -> list[str]:
         """What lamps and materials had to leave out, and objects whose settings differ from what was read."""
@@ -149,7 +150,10 @@ class _Reader:
 
     def _is_rendered(self, instance) -> bool:
         if not instance.is_instance:
-            return instance.object.original in self._rendered
+            obj = instance.object.original
+            # The original of what is instanced on vertices or faces is drawn for editing only.
+            is_pattern = obj.parent is not None and obj.parent.instance_type in ('VERTS', 'FACES')
+            return obj in self._rendered and not is_pattern
         parent = instance.parent.original
         if parent not in self._rendered:
             return False
@@ -168,7 +172,7 @@ class _Reader:
         if light is not None:
             self.lights.append(light)
 
-    def _add_mesh(self, obj, matrix) -> None:
+    def _add_mesh(self, obj, matrix, mirrored: bool) -> None:
         mesh = obj.data
         if not len(mesh.polygons):
             return
@@ -181,7 +185,6 @@ class _Reader:
         slots = [self.materials.override or slot.material for slot in obj.material_slots] or [self.materials.override]
         color = tuple(obj.color)
         pointers = tuple(slot.as_pointer() if slot is not None else 0 for slot in slots)
-        mirrored = bool(is_mirrored(matrix[None])[0])
         key = (mesh.as_pointer(), pointers, color, mirrored)
         if key not in self.placements:
             if mesh.as_pointer() not in self._meshes:
@@ -198,7 +201,7 @@ class _Reader:
     def _used_looks(self, arrays: MeshArrays, slots) -> list[Look]:
         """One look per slot; a slot without faces is not read, so that nothing is said about it."""
         used = np.zeros(len(slots), dtype=bool)
-        used[np.clip(arrays.face_materials, 0, len(slots) - 1)] = True
+        used[np.minimum(arrays.face_materials, len(slots) - 1)] = True
         return [
             self.materials.look(slot.original if slot is not None and use else None)
             for slot, use in zip(slots, used, strict=True)

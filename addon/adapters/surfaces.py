@@ -44,25 +44,24 @@ def transform_points(positions: np.ndarray, matrices: np.ndarray) -> np.ndarray:
         )
 
 
-def is_mirrored(matrices: np.ndarray) -> np.ndarray:
-    """(k,) whether (k, 4, 4) matrices turn the front of a face to its back."""
-    return np.linalg.det(matrices[:, :3, :3]) < 0
-
-
 def transform_normals(normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """(n, 3) float32 unit normals in the world of (n, 3) normals under a (4, 4) matrix.
 
     By the cofactors, which are the inverse transpose times the determinant and exist for flattened objects too. A
     mirrored object's normals keep pointing out of it, as Blender shows them.
     """
-    x, y, z = matrix[:3, :3].T
-    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
-    if is_mirrored(matrix[None])[0]:
+    axes = matrix[:3, :3]
+    cofactors = np.cross(axes[:, [1, 2, 0]].T, axes[:, [2, 0, 1]].T).T
+    if np.linalg.det(axes) < 0:
         cofactors = -cofactors
+    size = np.abs(cofactors).max()
+    if not (np.isfinite(size) and size > 0):
+        return np.zeros(normals.shape, dtype=np.float32)
+    cofactors = cofactors / size
     with np.errstate(invalid="ignore", over="ignore"):
-        turned = np.asarray(normals, dtype=np.float64) @ cofactors.T
-        lengths = np.linalg.norm(turned, axis=1, keepdims=True)
-        return (turned / np.where(lengths > 0, lengths, 1)).astype(np.float32)
+        turned = normals @ cofactors.T.astype(np.float32)
+        lengths = np.sqrt(np.einsum("ij,ij->i", turned, turned))
+        return turned / np.where(lengths > 0, lengths, 1)[:, None]
 
 
 class _Pools:
@@ -98,19 +97,34 @@ class _Pools:
         return shader
 
 
-class _LookNumbers:
-    """Numbers of looks: equal for looks of equal values, or of one varying look on one placement."""
+class _Wear:
+    """Looks as they are worn: one row for looks of equal values, and for one that varies on each placement."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple, int] = {}
+        self._rows: dict[tuple, int] = {}
+        self.looks: list[Look] = []
 
-    def number(self, look: Look, placement: int) -> int:
+    def row(self, look: Look, placement: int) -> int:
         if look.attributes:
             key = (id(look), placement)
         else:
             reflectance, emission, transmittance = look.values
             key = (*reflectance, *emission, transmittance, look.two_sided)
-        return self._known.setdefault(key, len(self._known))
+        if key not in self._rows:
+            self._rows[key] = len(self.looks)
+            self.looks.append(look)
+        return self._rows[key]
+
+    def values(self) -> dict[str, np.ndarray]:
+        """Columns of all rows; 0 where a look varies."""
+        varying = np.zeros(3), np.zeros(3), 0.0
+        values = [varying if look.attributes else look.values for look in self.looks]
+        return {
+            "reflectance": np.array([value[0] for value in values]).reshape(-1, 3),
+            "emission": np.array([value[1] for value in values]).reshape(-1, 3),
+            "transmittance": np.array([value[2] for value in values]),
+            "two_sided": np.array([look.two_sided for look in self.looks], dtype=bool),
+        }
 
 
 def build_surfaces(placements: Mapping[tuple, Placement]) -> Surfaces:
@@ -125,47 +139,42 @@ def build_surfaces(placements: Mapping[tuple, Placement]) -> Surfaces:
     Surfaces
         With zero triangles where there are no placements.
     """
-    numbers = _LookNumbers()
-    pools = _Pools()
+    wear, pools = _Wear(), _Pools()
     names: dict[str, int] = {}
-    parts = [_part(placement, i, numbers, pools, names) for i, placement in enumerate(placements.values())]
-    columns = {name: _join([part[name] for part in parts], *_COLUMNS[name]) for name in _COLUMNS}
-    offsets = np.cumsum([0, *(len(part["vertices"]) for part in parts)])[:-1]
-    counts = [len(part["triangles"]) for part in parts]
+    parts = [_part(placement, i, wear, pools, names) for i, placement in enumerate(placements.values())]
+    columns = {
+        name: np.concatenate([part[i] for part in parts]) if parts else np.empty((0, *shape), dtype=dtype)
+        for i, (name, (shape, dtype)) in enumerate(_COLUMNS.items())
+    }
+    offsets = np.cumsum([0, *(len(part[0]) for part in parts)])[:-1]
+    counts = [len(part[1]) for part in parts]
     columns["triangles"] = (columns["triangles"] + np.repeat(offsets, counts)[:, None]).astype(np.int32)
+    for name, table in wear.values().items():
+        columns[name] = table[columns["materials"]]
     looks, rows = columns.pop("looks"), columns.pop("rows")
     shader = pools.finish(looks, rows, columns)
     return Surfaces(object_names=tuple(names), textured=looks >= 0, shader=shader, **columns)
 
 
-#: Columns of each part: shape of a row and type.
+#: What `_part` gives: shape of a row and type.
 _COLUMNS = {
     "vertices": ((3,), np.float64),
     "triangles": ((3,), np.int64),
     "materials": ((), np.int32),
     "objects": ((), np.int32),
-    "reflectance": ((3,), np.float64),
-    "emission": ((3,), np.float64),
-    "transmittance": ((), np.float64),
-    "two_sided": ((), bool),
     "looks": ((), np.int32),
     "rows": ((), np.int32),
 }
 
 
-def _join(arrays, shape, dtype) -> np.ndarray:
-    return np.concatenate(arrays).astype(dtype, copy=False) if arrays else np.empty((0, *shape), dtype=dtype)
-
-
-def _part(placement: Placement, index: int, numbers: _LookNumbers, pools: _Pools, names: dict[str, int]) -> dict:
-    """Columns of one placement, instance after instance."""
+def _part(placement: Placement, index: int, wear: _Wear, pools: _Pools, names: dict[str, int]) -> tuple:
+    """Columns of one placement, instance after instance, with triangles that count vertices from 0."""
     arrays, looks = placement.arrays, placement.looks
     matrices = np.array(placement.matrices)
     count = len(matrices)
-    slots = np.clip(arrays.face_materials, 0, len(looks) - 1)[arrays.triangle_faces]
+    slots = np.minimum(arrays.face_materials, len(looks) - 1)[arrays.triangle_faces]
     corners = arrays.triangle_corners[:, [0, 2, 1]] if placement.mirrored else arrays.triangle_corners
     rows = np.full(len(corners), -1, dtype=np.int32)
-    values = [(np.zeros(3), np.zeros(3), 0.0) if look.attributes else look.values for look in looks]
     programs = np.full(len(looks), -1, dtype=np.int32)
     for slot, look in enumerate(looks):
         if look.attributes:
@@ -173,21 +182,14 @@ def _part(placement: Placement, index: int, numbers: _LookNumbers, pools: _Pools
             attributes = {key: placement.attributes[key][corners[inside]] for key in look.attributes}
             programs[slot], start = pools.add(look, attributes)
             rows[inside] = start + np.arange(len(inside))
-    triangles = np.broadcast_to(arrays.corner_vertices[corners].astype(np.int64), (count, len(corners), 3)).copy()
-    triangles += (np.arange(count) * len(arrays.positions))[:, None, None]
-
-    def tile(per_triangle):
-        return np.broadcast_to(per_triangle, (count, *per_triangle.shape)).reshape(-1, *per_triangle.shape[1:])
-
-    return {
-        "vertices": transform_points(arrays.positions, matrices).reshape(-1, 3),
-        "triangles": triangles.reshape(-1, 3),
-        "materials": tile(np.array([numbers.number(look, index) for look in looks])[slots]),
-        "objects": np.repeat([names.setdefault(name, len(names)) for name in placement.names], len(corners)),
-        "reflectance": tile(np.array([value[0] for value in values])[slots]),
-        "emission": tile(np.array([value[1] for value in values])[slots]),
-        "transmittance": tile(np.array([value[2] for value in values])[slots]),
-        "two_sided": tile(np.array([look.two_sided for look in looks])[slots]),
-        "looks": tile(programs[slots]),
-        "rows": tile(rows),
-    }
+    starts = np.arange(count, dtype=np.int64) * len(arrays.positions)
+    objects = np.array([names.setdefault(name, len(names)) for name in placement.names], dtype=np.int32)
+    worn = np.array([wear.row(look, index) for look in looks], dtype=np.int32)
+    return (
+        transform_points(arrays.positions, matrices).reshape(-1, 3),
+        (arrays.corner_vertices[corners] + starts[:, None, None]).reshape(-1, 3),
+        np.tile(worn[slots], count),
+        np.repeat(objects, len(corners)),
+        np.tile(programs[slots], count),
+        np.tile(rows, count),
+    )

@@ -171,7 +171,8 @@ class _Caster:
             squares += shares * shares
         mean = total / REPETITIONS
         variance = np.maximum(squares / REPETITIONS - mean * mean, 0) / (REPETITIONS - 1)
-        return mean, np.sqrt(variance[:, :-1].max(axis=1))
+        # Rays that never met a patch do not tell a factor of one ray's share from none.
+        return mean, np.maximum(np.sqrt(variance[:, :-1].max(axis=1)), 1 / (size * REPETITIONS))
 
     def _count(self, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Rays (r, n + 1) that meet each patch, or none, for points (r, s, 4) of the unit cube."""

@@ -17,8 +17,8 @@ FACTORS = form_factor_cases()
 CASES = solution_cases()
 FURNACES = [name for name in ids(CASES, "furnace") if "form_factor_case" in CASES[name]["geometry"]]
 ROOMS = [name for name in ids(CASES, "geometry") if "shape" not in CASES[name]["geometry"]]
-# Lit through factors of 2e-4 (the Ward room's source) and 1e-2 (the boxes' far sides), of which the fine level asks half
-# a percent.
+# Lit through factors of 2e-4 (the Ward room's source) and 1e-2 (the boxes' far sides): the fine level asks half a
+# percent of those.
 COARSE_ROOMS = ("cornell-rgb", "ward-7patch")
 # The others take over ten seconds at the accuracy that the fine level needs.
 FAST_ROOMS = ("openpair-1", "openpair-0.01", "cube-colour", "box543", "openpair-rho1")

@@ -134,8 +134,8 @@ def test_enclosure_at_the_fine_level(name):
 def test_every_method_meets_a_plate_in_a_box(method, visibility):
     case = CASES["enc-facet-8"]
     expected = np.array(case["matrix"]["F"])
-    result, _, info = surface_matrix(case, method=method, visibility=visibility, accuracy=4e-3)
-    assert np.abs(in_order(case, result, case["matrix"]["order"]) - expected).max() < 5 * 4e-3
+    result, _, info = surface_matrix(case, method=method, visibility=visibility, accuracy=8e-3)
+    assert np.abs(in_order(case, result, case["matrix"]["order"]) - expected).max() < 5 * 8e-3
     assert info.method_counts == {method: 8} and info.rays > 0
 
 

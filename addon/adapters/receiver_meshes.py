@@ -173,7 +173,7 @@ def _read_receiver(obj, mesh, matrix, materials) -> ReceiverMesh:
     matrix = np.array(matrix, dtype=np.float64)
     slots = [materials.override or slot.material for slot in obj.material_slots] or [materials.override]
     slot_rows = np.minimum(arrays.face_materials, len(slots) - 1)
-    used = np.isin(np.arange(len(slots)), slot_rows)
+    used = np.bincount(slot_rows, minlength=len(slots)) > 0
     looks = [materials.look(slot if use else None) for slot, use in zip(slots, used, strict=True)]
     values = [(np.zeros(3), np.zeros(3), 0.0) if look.attributes else look.values for look in looks]
     reflectance = np.array([value[0] for value in values])

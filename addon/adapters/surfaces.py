@@ -51,8 +51,10 @@ def transform_normals(normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     mirrored object's normals keep pointing out of it, as Blender shows them.
     """
     axes = matrix[:3, :3]
-    cofactors = np.cross(axes[:, [1, 2, 0]].T, axes[:, [2, 0, 1]].T).T
-    if np.linalg.det(axes) < 0:
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    low, high = axes[ahead], axes[behind]
+    cofactors = low[:, ahead] * high[:, behind] - low[:, behind] * high[:, ahead]
+    if axes[0] @ cofactors[0] < 0:  # the determinant, expanded along the first row
         cofactors = -cofactors
     size = np.abs(cofactors).max()
     if not (np.isfinite(size) and size > 0):

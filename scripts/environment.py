@@ -6,7 +6,7 @@ written last says that the set-up is complete; a mark that is written first says
 
 from __future__ import annotations
 
-import ctypes.util
+import ctypes
 import hashlib
 import json
 import os
@@ -104,10 +104,10 @@ def ensure(extras: tuple[str, ...]) -> Path:
     _make_venv()
     stamp.unlink(missing_ok=True)
     _install(wanted)
+    (VENV / _MARK).unlink()  # complete, even if the system lacks something: what was downloaded is kept
     _check_blender()
     version = f"{sys.version_info[0]}.{sys.version_info[1]}"
     stamp.write_text(json.dumps({"key": _key(version), "python": version, "extras": wanted}), encoding="utf-8")
-    (VENV / _MARK).unlink(missing_ok=True)
     print("Set-up finished.", file=sys.stderr, flush=True)
     return venv_python(VENV)
 
@@ -201,18 +201,15 @@ def _linked_libraries(python: str) -> str:
     origin = subprocess.run([python, "-c", script], capture_output=True, text=True, check=False).stdout.strip()
     if not origin:
         return ""
-    folder = Path(origin).parent
-    binaries = [
-        str(path) for path in (folder / "__init__.so", *sorted((folder / "lib").glob("*.so*"))) if path.exists()
-    ]
-    return subprocess.run(["ldd", *binaries], capture_output=True, text=True, check=False).stdout
+    # This one alone, with all it needs in turn: plug-ins beside it want drivers of graphics cards, and can do without.
+    return subprocess.run(["ldd", origin], capture_output=True, text=True, check=False).stdout
 
 
 def missing_libraries(loader_error: str, ldd_output: str) -> list[str]:
     """Names of shared libraries that the system lacks, sorted.
 
     ldd knows all of them; without it, the loader names only the first, and the rest is found by looking for each
-    library that bpy is known to need.
+    library that some release of bpy needs.
 
     Parameters
     ----------
@@ -226,11 +223,16 @@ def missing_libraries(loader_error: str, ldd_output: str) -> list[str]:
     if first:
         named.add(os.path.basename(first.group(1)))
         if not ldd_output:
-            for library in LIBRARY_PACKAGES:
-                stem = library[3:].split(".so")[0]
-                if ctypes.util.find_library(stem) is None:
-                    named.add(library)
+            named.update(library for library in LIBRARY_PACKAGES if not _can_load(library))
     return sorted(named)
+
+
+def _can_load(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
 
 
 def install_advice(missing: list[str]) -> str:

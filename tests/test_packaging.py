@@ -90,12 +90,10 @@ def test_a_wheel_that_differs_is_not_taken(tmp_path):
 
 
 LDD = """\
-/venv/bpy/__init__.so:
 \tlinux-vdso.so.1 (0x00007ffd)
 \tlibX11.so.6 => not found
 \tlibXi.so.6 => not found
 \tlibc.so.6 => /lib/x86_64-linux-gnu/libc.so.6 (0x00007f)
-/venv/bpy/lib/libusd_ms.so:
 \tlibGL.so.1 => not found
 \tlibX11.so.6 => not found
 \tlibstrange.so.7 => not found
@@ -113,8 +111,8 @@ def test_all_missing_libraries_are_named_at_once():
 
 
 def test_without_ldd_known_libraries_are_looked_for(monkeypatch):
-    have = {"X11", "Xi", "stdc++", "uuid", "z", "gomp"}
-    monkeypatch.setattr(environment.ctypes.util, "find_library", lambda stem: stem if stem in have else None)
+    have = {"libX11.so.6", "libXi.so.6", "libstdc++.so.6"}
+    monkeypatch.setattr(environment, "_can_load", have.__contains__)
     missing = environment.missing_libraries(LOADER, "")
     assert {"libSM.so.6", "libXfixes.so.3", "libGL.so.1", "libxkbcommon.so.0"} <= set(missing)
     assert not {"libX11.so.6", "libXi.so.6", "libstdc++.so.6"} & set(missing)

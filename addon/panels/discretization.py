@@ -14,4 +14,4 @@ class VIEW3D_PT_radiosity_discretization(RadiositySubPanel, bpy.types.Panel):
         column = layout.column()
         column.prop(settings, "subdivide_length")
         column.prop(settings, "subdivide_limit")
-        layout.operator("radiosity.subdivide", icon='MOD_SUBSURF')
+        layout.operator("radiosity.subdivide", text="Subdivide...", icon='MOD_SUBSURF')

@@ -34,10 +34,9 @@ class RadiositySceneSettings(PropertyGroup):
     show_in_viewport: bake.show_in_viewport(**_FIXED)
     subdivide_length: FloatProperty(
         name="Maximum Edge",
-        description="Divide faces until none of their edges is longer than this",
-        default=0.25,
-        min=1e-6,
-        soft_min=0.001,
+        description="Divide faces until none of their edges is longer than this; 0 proposes a length that suits them",
+        default=0.0,
+        min=0.0,
         soft_max=10.0,
         subtype='DISTANCE',
         unit='LENGTH',

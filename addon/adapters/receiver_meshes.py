@@ -93,7 +93,8 @@ def choose_receivers(context: bpy.types.Context, receivers: Sequence[bpy.types.O
 
 def _reason_to_skip(obj, present: set[bpy.types.Object]) -> str | None:
     if obj.type != 'MESH':
-        return "is not a mesh: convert it to one"
+        can_convert = obj.type in ('CURVE', 'SURFACE', 'FONT', 'META')
+        return "is not a mesh: convert it to one" if can_convert else "is not a mesh"
     if obj not in present:
         return "is not in the view layer"
     if obj.data.library is not None or not obj.data.is_editable:

@@ -251,6 +251,8 @@ def test_smooth_sharp_and_custom_normals_come_per_corner():
         obj.data.polygons.foreach_set("use_smooth", [True] * 6)
     sharp.data.edges.foreach_set("use_edge_sharp", [True] * 12)
     custom.data.normals_split_custom_set([(0.0, 0.0, 1.0)] * 24)
+    for obj in (smooth, sharp, custom):
+        obj.data.update()
     meshes = read_scene(bpy.context, receivers=[smooth, sharp, custom]).scene.receivers
     corner = np.abs(meshes[0].corner_normals)
     np.testing.assert_allclose(corner, 1 / np.sqrt(3), atol=1e-3)

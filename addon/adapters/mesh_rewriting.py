@@ -8,7 +8,7 @@ box turns flat as soon as it has inner vertices), the old normals are kept as cu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -67,16 +67,13 @@ def rewrite_mesh(mesh: bpy.types.Mesh, result: SubdividedMesh) -> None:
     positions = np.concatenate(
         [positions, _means(positions, result.vertex_sources[old_count:], result.vertex_weights[old_count:])]
     )
-    groups = [
-        (name, np.concatenate([old, _means(old, result.vertex_sources[old_count:], result.vertex_weights[old_count:])]))
-        for name, old in groups
-    ]
+    sources, shares = result.vertex_sources[old_count:], result.vertex_weights[old_count:]
+    groups = replace(groups, weights=[np.concatenate([old, _means(old, sources, shares)]) for old in groups.weights])
     layers = _LayerChoice.of(mesh)
     mesh.clear_geometry()
     _write_geometry(mesh, positions, result)
-    if groups:
-        # Weights are written on a copy, which then replaces the geometry: before anything else is stored on it.
-        write_vertex_groups(mesh, groups)
+    # Before anything else is stored on it: this puts a copy of the geometry in its place.
+    write_vertex_groups(mesh, groups)
     for stored in attributes:
         _write_attribute(mesh, stored, result, old_count)
     _write_freestyle(mesh, marks, result)
@@ -89,13 +86,14 @@ def _means(values: np.ndarray, sources: np.ndarray, weights: np.ndarray) -> np.n
     """Weighted means of rows of `values`, (n,) or (n, k), in their type."""
     values = values if values.ndim > 1 else values[:, None]
     means = np.empty((len(sources), values.shape[1]), dtype=values.dtype)
+    # Values that are not finite must not spread by a weight of 0.
+    finite = bool(np.isfinite(values).all())
     for start in range(0, len(sources), _BLOCK):
         rows = slice(start, start + _BLOCK)
-        total = weights[rows, :1] * values[sources[rows, 0]]
-        for place in range(1, sources.shape[1]):
-            share = weights[rows, place]
-            used = np.flatnonzero(share)  # values that are not finite must not spread by a weight of 0
-            total[used] += share[used, None] * values[sources[rows, place][used]]
+        total = 0.0
+        for place in range(sources.shape[1]):
+            term = values[sources[rows, place]] * weights[rows, place, None]
+            total = total + (term if finite else np.where(weights[rows, place, None] > 0.0, term, 0.0))
         means[rows] = total
     return means if values.shape[1] > 1 else means[:, 0]
 
@@ -157,9 +155,9 @@ def _write_geometry(mesh: bpy.types.Mesh, positions: np.ndarray, result: Subdivi
     mesh.loops.add(len(result.corner_vertices))
     mesh.polygons.add(len(result.face_sources))
     mesh.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(positions, dtype=np.float32).ravel())
-    mesh.edges.foreach_set("vertices", np.ascontiguousarray(result.edges).ravel())
-    mesh.loops.foreach_set("vertex_index", result.corner_vertices)
-    mesh.loops.foreach_set("edge_index", result.corner_edges)
+    mesh.attributes[".edge_verts"].data.foreach_set("value", np.ascontiguousarray(result.edges).ravel())
+    mesh.attributes[".corner_vert"].data.foreach_set("value", result.corner_vertices)
+    mesh.attributes[".corner_edge"].data.foreach_set("value", result.corner_edges)
     mesh.polygons.foreach_set("loop_start", np.ascontiguousarray(result.face_offsets[:-1]))
 
 
@@ -190,7 +188,9 @@ def _keep_shading(mesh: bpy.types.Mesh, normals: np.ndarray, had_custom_normals:
     turn = np.linalg.norm(normals - shown, axis=1)
     turn = turn[np.isfinite(turn)]
     if had_custom_normals or (len(turn) and turn.max() > SHADING_TOLERANCE):
-        mesh.normals_split_custom_set(np.where(np.isfinite(normals), normals, 0.0))
+        # Zeros mean "as Blender has it". Tuples, because Blender takes arrays apart ten times slower.
+        normals = np.where(np.isfinite(normals), normals, 0.0)
+        mesh.normals_split_custom_set(list(zip(*normals.T.tolist(), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -216,11 +216,11 @@ class _LayerChoice:
 
     def restore(self, mesh: bpy.types.Mesh) -> None:
         attributes, layers = mesh.attributes, mesh.uv_layers
-        if self.active_uv in layers:
+        if self.active_uv and self.active_uv in layers:
             layers.active = layers[self.active_uv]
-        if self.render_uv in layers:
+        if self.render_uv and self.render_uv in layers:
             layers[self.render_uv].active_render = True
-        if self.active in attributes:
+        if self.active and self.active in attributes:
             attributes.active = attributes[self.active]
         if self.active_color:
             attributes.active_color_name = self.active_color

@@ -23,6 +23,9 @@ from ...core.errors import RadiosityError
 from .mesh_arrays import read_mesh
 from .mesh_rewriting import rewrite_mesh
 
+# So many vertices are counted exactly, for a message; that takes a fraction of a second.
+_COUNTED_VERTICES = 100_000
+
 
 class SubdivisionError(RadiosityError):
     """A mesh cannot be divided, or not so finely; the text names it and the remedy."""
@@ -142,23 +145,33 @@ def subdivide_targets(targets: Sequence[SubdivisionTarget], length: float, limit
     polygons = [target.polygons for target in targets]
     counts = predict_all(polygons, length, limit)
     if counts is None:
-        fitting = fitting_edge_length(polygons, limit, start=length)
-        if not np.isfinite(fitting):
-            existing = sum(len(mesh.positions) for mesh in polygons)
-            raise SubdivisionError(
-                f"The selected meshes have {existing:,} vertices already, above the limit of {limit:,}: raise the limit"
-                " or select fewer meshes"
-            )
-        fitted = predict_all(polygons, fitting)[0]
-        # Beyond what edges had before, vertices grow with the square of the length.
-        about = float(f"{fitted * (fitting / length) ** 2:.1e}")
-        raise SubdivisionError(
-            f"Edges of at most {length:g} m would make about {max(about, limit + 1.0):,.0f} vertices, above the limit"
-            f" of {limit:,}: use {fitting:g} m ({fitted:,} vertices) or raise the limit"
-        )
+        raise _too_many(polygons, length, limit)
     # All are divided before the first is written: what can fail, fails while nothing has changed.
     results = [(target.mesh, subdivide(target.polygons, length)) for target in targets]
     changed = [(mesh, result) for mesh, result in results if result is not None]
     for mesh, result in changed:
         rewrite_mesh(mesh, result)
     return (len(changed), *counts)
+
+
+def _too_many(polygons: Sequence[PolygonMesh], length: float, limit: int) -> SubdivisionError:
+    fitting = fitting_edge_length(polygons, limit, start=length)
+    if not np.isfinite(fitting):
+        existing = sum(len(mesh.positions) for mesh in polygons)
+        return SubdivisionError(
+            f"The selected meshes have {existing:,} vertices already, above the limit of {limit:,}: raise the limit or"
+            " select fewer meshes"
+        )
+    enough = max(limit, _COUNTED_VERTICES)
+    counts = predict_all(polygons, length, enough)
+    if counts is None:
+        # Too many to count: with such short edges, vertices grow with the inverse square of the length.
+        base = fitting_edge_length(polygons, enough, start=length)
+        vertices = float(f"{predict_all(polygons, base)[0] * (base / length) ** 2:.1e}")
+        wanted = f"about {max(vertices, enough + 1.0):,.0f}"
+    else:
+        wanted = f"{counts[0]:,}"
+    return SubdivisionError(
+        f"Edges of at most {length:g} m would make {wanted} vertices, above the limit of {limit:,}: use {fitting:g} m"
+        f" ({predict_all(polygons, fitting)[0]:,} vertices) or raise the limit"
+    )

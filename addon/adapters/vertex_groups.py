@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import bmesh
 import bpy
@@ -16,38 +17,52 @@ import numpy as np
 _PREFIX = "radiosity_weights_"
 
 
-def _group_names(mesh: bpy.types.Mesh) -> list[str]:
-    """Names of the groups that the mesh has weights for."""
-    # Groups are named by the mesh but listed by its objects.
-    obj = next((obj for obj in bpy.data.objects if obj.data == mesh), None)
-    return [group.name for group in obj.vertex_groups] if obj is not None else []
+@dataclass(frozen=True)
+class VertexGroups:
+    """All groups of a mesh, in order."""
+
+    names: list[str]
+    locked: list[bool]
+    active: int
+    weights: list[np.ndarray]  # (n,) float32 each, 0 for vertices outside of the group
 
 
-def read_vertex_groups(mesh: bpy.types.Mesh) -> list[tuple[str, np.ndarray]]:
-    """Name and weights (n,) float32 of each group, 0 for vertices outside of it. Empty without groups."""
-    names = _group_names(mesh)
-    if not names:
-        return []
-    copies = [(name, f"{_PREFIX}{number}") for number, name in enumerate(names)]
-    with _evaluated_copy(mesh, names, copies) as evaluated:
-        groups = []
-        for name, copy in copies:
-            weights = np.empty(len(mesh.vertices), dtype=np.float32)
-            evaluated.attributes[copy].data.foreach_get("value", weights)
-            groups.append((name, weights))
-    return groups
+def _listed(mesh: bpy.types.Mesh) -> bpy.types.VertexGroups:
+    """The groups, which the mesh owns but only its objects list."""
+    return next(obj for obj in bpy.data.objects if obj.data == mesh).vertex_groups
 
 
-def write_vertex_groups(mesh: bpy.types.Mesh, groups: list[tuple[str, np.ndarray]]) -> None:
-    """Give the mesh the weights (n,) of groups that its objects have; vertices with weight 0 do not become members.
+def read_vertex_groups(mesh: bpy.types.Mesh) -> VertexGroups:
+    """The groups of a mesh that some object shows."""
+    listed = _listed(mesh)
+    names, locked = [group.name for group in listed], [group.lock_weight for group in listed]
+    weights = []
+    if names:
+        copies = [(name, f"{_PREFIX}{number}") for number, name in enumerate(names)]
+        with _evaluated_copy(mesh, copies) as evaluated:
+            for _, copy in copies:
+                values = np.empty(len(mesh.vertices), dtype=np.float32)
+                evaluated.attributes[copy].data.foreach_get("value", values)
+                weights.append(values)
+    return VertexGroups(names, locked, listed.active_index, weights)
+
+
+def write_vertex_groups(mesh: bpy.types.Mesh, groups: VertexGroups) -> None:
+    """Give groups to a mesh that has none; vertices with weight 0 do not become members.
 
     Replaces the geometry by an equal one: what else is stored on the mesh must be written afterwards.
     """
-    copies = [(f"{_PREFIX}{number}", name) for number, (name, _) in enumerate(groups)]
-    for (copy, _), (_, weights) in zip(copies, groups, strict=True):
+    if not groups.names:
+        return
+    listed = _listed(mesh)
+    for name, locked in zip(groups.names, groups.locked, strict=True):
+        listed.new(name=name).lock_weight = locked
+    listed.active_index = groups.active
+    copies = [(f"{_PREFIX}{number}", name) for number, name in enumerate(groups.names)]
+    for (copy, _), weights in zip(copies, groups.weights, strict=True):
         attribute = mesh.attributes.new(copy, 'FLOAT', 'POINT')
         attribute.data.foreach_set("value", np.ascontiguousarray(weights, dtype=np.float32))
-    with _evaluated_copy(mesh, [name for name, _ in groups], copies) as evaluated:
+    with _evaluated_copy(mesh, copies) as evaluated:
         weighted = bmesh.new()
         try:
             weighted.from_mesh(evaluated)
@@ -59,16 +74,13 @@ def write_vertex_groups(mesh: bpy.types.Mesh, groups: list[tuple[str, np.ndarray
 
 
 @contextmanager
-def _evaluated_copy(mesh, names, copies) -> Iterator[bpy.types.Mesh]:
-    """The mesh after attributes were copied, as pairs (from, to), on an object that has groups of these names."""
+def _evaluated_copy(mesh, copies) -> Iterator[bpy.types.Mesh]:
+    """The mesh after attributes or groups were copied, as pairs (from, to)."""
     tree = _copying_nodes(copies)
     obj = bpy.data.objects.new("radiosity_weights", mesh)
     scene = bpy.data.scenes.new("radiosity_weights")
     try:
         scene.collection.objects.link(obj)
-        for name in names:
-            if name not in obj.vertex_groups:
-                obj.vertex_groups.new(name=name)
         obj.modifiers.new("Copy", 'NODES').node_group = tree
         # A scene of its own: evaluating the user's would take as long as all their modifiers do.
         with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):

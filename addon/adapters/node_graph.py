@@ -13,6 +13,10 @@ import bpy
 #: Links followed in a row before a chain is taken for endless. Blender marks cycles invalid, so this is a second guard.
 MAX_LINKS = 10_000
 
+#: Whether the sockets at a group's border convert what passes. From 5.0 Blender dissolves groups before it renders, and
+#: a color goes through a group's value input unchanged.
+CONVERTS_AT_BORDERS = bpy.app.version < (5, 0)
+
 
 @dataclass(frozen=True)
 class Scope:
@@ -62,7 +66,7 @@ def follow(socket: bpy.types.NodeSocket, scope: Scope | None) -> Source:
     for _ in range(MAX_LINKS):
         link = next((each for each in socket.links if each.is_valid and not each.is_muted), None)
         if link is None:
-            return Source(None, None, default, scope, tuple(reversed(types)))
+            return _open_end(default, scope, types)
         node, output = link.from_node, link.from_socket
         following = _next_input(node, output, scope)
         if following is None:
@@ -70,10 +74,18 @@ def follow(socket: bpy.types.NodeSocket, scope: Scope | None) -> Source:
             return Source(node, output, default, scope, tuple(reversed(types)))
         socket, scope = following
         if socket is None:
-            return Source(None, None, default, scope, tuple(reversed(types)))
+            return _open_end(default, scope, types)
         if node.bl_idname != 'NodeReroute':  # an open reroute counts as no link at all
             default = socket
-            types.append(base_type(socket))
+            if CONVERTS_AT_BORDERS:
+                types.append(base_type(socket))
+    return _open_end(default, scope, types)
+
+
+def _open_end(default, scope, types) -> Source:
+    """A way that ends at a socket's own value, which converts too."""
+    if types[-1] != base_type(default):
+        types = [*types, base_type(default)]
     return Source(None, None, default, scope, tuple(reversed(types)))
 
 

@@ -269,6 +269,22 @@ class Trees:
         tree.links.new(self.color_attribute(tree), node.inputs["Color"])
         return node.outputs["Color"]
 
+    def group_that_turns_a_color_into_a_value(self, tree):
+        inner = bpy.data.node_groups.new("Border", 'ShaderNodeTree')
+        inner.interface.new_socket("Value", in_out='INPUT', socket_type='NodeSocketFloat')
+        inner.interface.new_socket("Color", in_out='OUTPUT', socket_type='NodeSocketColor')
+        start, end = add_node(inner, 'NodeGroupInput'), add_node(inner, 'NodeGroupOutput')
+        inner.links.new(start.outputs["Value"], end.inputs["Color"])
+        node = add_node(tree, 'ShaderNodeGroup', node_tree=inner)
+        tree.links.new(self.color_attribute(tree), node.inputs["Value"])
+        return node.outputs["Color"]
+
+    def group_whose_open_value_becomes_a_color(self, tree):
+        socket = self.group_that_turns_a_color_into_a_value(tree)
+        socket.node.inputs["Value"].default_value = 0.6
+        tree.links.remove(socket.node.inputs["Value"].links[0])
+        return socket
+
     def image(self, tree, **values):
         return add_node(tree, 'ShaderNodeTexImage', image=make_image(), **values).outputs["Color"]
 

@@ -361,29 +361,38 @@ def ramp_image():
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1)])
 def test_shader_tells_the_color_at_each_point_of_textured_triangles(scale):
     image = ramp_image()
-    squares = [textured_square(name, image, (i * 3, 0, 0), scale) for i, name in enumerate("AB")]
+    squares = [textured_square(name, image, (i * 3, 0, 0), scale) for i, name in enumerate("ABC")]
     plain = add_cube("Plain", location=(0, 9, 0))
     squares[1].data.materials[0] = squares[0].data.materials[0]
+    tree = squares[2].data.materials[0].node_tree
+    invert = tree.nodes.new('ShaderNodeInvert')
+    picture = next(each for each in tree.nodes if each.bl_idname == 'ShaderNodeTexImage')
+    shader = next(each for each in tree.nodes if each.bl_idname == 'ShaderNodeBsdfDiffuse')
+    tree.links.new(picture.outputs["Color"], invert.inputs["Color"])
+    tree.links.new(invert.outputs["Color"], shader.inputs["Color"])
     reading = read_scene(bpy.context, receivers=[*squares, plain])
     surfaces = reading.scene.surfaces
-    assert surfaces.textured.sum() == 4
+    assert surfaces.textured.sum() == 6
     random = np.random.default_rng(0)
     rows = random.choice(np.flatnonzero(surfaces.textured), 200)
     weights = random.dirichlet((1, 1, 1), 200)
     points = np.einsum("nc,nck->nk", weights, surfaces.vertices[surfaces.triangles[rows]])
     names = np.array(surfaces.object_names)[surfaces.objects[rows]]
-    local = (points - np.where(names == "B", 3, 0)[:, None] * np.array([1, 0, 0])) * np.array(scale)
+    places = np.array([3 * "ABC".index(name) for name in names])
+    local = (points - places[:, None] * np.array([1, 0, 0])) * np.array(scale)
     reflectance, emission, transmittance = surfaces.shader(rows, weights)
     inside = (local[:, :2] > 1 / 64).all(1) & (local[:, :2] < 1 - 1 / 64).all(1)  # the border pixels wrap around
-    np.testing.assert_allclose(reflectance[inside, :2], local[inside, :2], atol=1e-5)
+    inverted = (names == "C")[:, None]
+    expected = np.where(inverted, 1 - local[:, :2], local[:, :2])  # C wears a material of its own, which inverts
+    np.testing.assert_allclose(reflectance[inside, :2], expected[inside], atol=1e-5)
     assert not emission.any()
     assert not transmittance.any()
     # Means over the two triangles, whose centers are at a third and two thirds.
     means = surfaces.reflectance[surfaces.textured]
     np.testing.assert_allclose(np.sort(means[:2, 0]), (1 / 3, 2 / 3), atol=0.01)
-    np.testing.assert_allclose(means[:, 2], 0.25, rtol=1e-5)
-    assert len(set(surfaces.materials[surfaces.textured].tolist())) == 2
-    square, _, cube = reading.scene.receivers
+    np.testing.assert_allclose(np.sort(means[:, 2]), (0.25, 0.25, 0.25, 0.25, 0.75, 0.75), rtol=1e-5)
+    assert len(set(surfaces.materials[surfaces.textured].tolist())) == 3
+    square, _, _, cube = reading.scene.receivers
     assert square.corner_reflectance.shape == (4, 3)
     assert cube.corner_reflectance is None
     np.testing.assert_allclose(square.corner_reflectance[:, 2], 0.25, rtol=1e-5)

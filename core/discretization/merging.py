@@ -18,8 +18,9 @@ from .polygons import FLAT, triangulate_polygon
 # A region is merged when at most this share of its triangles is left: else long thin triangles would cost more in the
 # ray tree than their number saves.
 LARGEST_SHARE_LEFT = 0.5
-# More corners than this are not clipped one by one, which takes time with their square.
-LARGEST_POLYGON = 4000
+# Corners that are clipped one by one, squared and summed over regions: clipping takes time with the square, about a
+# second for this many. Regions beyond keep their triangles.
+LARGEST_CLIPPING = 16e6
 
 
 @dataclass(frozen=True)
@@ -107,9 +108,6 @@ def _merge_regions(vertices, triangles, regions: PlanarRegions):
     count = len(regions.normals)
     sizes = np.bincount(regions.labels[regions.labels >= 0], minlength=count)
     borders, active = _trace_borders(vertices, regions, count)
-    # Grouped by region, to find the triangles of those that drop out.
-    order = np.argsort(regions.labels, kind='stable')
-    bounds = np.searchsorted(regions.labels[order], np.arange(count + 1))
     needed = np.zeros(len(vertices), dtype=bool)
     outside = np.ones(len(triangles), dtype=bool)
     outside[regions.triangles[regions.labels >= 0]] = False
@@ -117,16 +115,15 @@ def _merge_regions(vertices, triangles, regions: PlanarRegions):
     dropped = ~active
     known: dict[int, tuple[bytes, np.ndarray | None]] = {}
     while True:
-        for region in np.flatnonzero(dropped):
-            members = regions.triangles[order[bounds[region] : bounds[region + 1]]]
-            needed[regions.weld[triangles[members].ravel()]] = True
+        returning = (regions.labels >= 0) & dropped[regions.labels]
+        needed[regions.weld[triangles[regions.triangles[returning]].ravel()]] = True
         active &= ~dropped
         stays = _needed_corners(vertices, borders, regions, active, needed)
         corners = np.flatnonzero(stays & active[borders.regions])
         corner_counts = np.bincount(borders.regions[corners], minlength=count)
         loop_counts = np.bincount(borders.regions[np.unique(borders.loops[corners])], minlength=count)
         left = corner_counts + 2 * loop_counts - 4
-        dropped = active & ((left > LARGEST_SHARE_LEFT * sizes) | (corner_counts > LARGEST_POLYGON))
+        dropped = active & (left > LARGEST_SHARE_LEFT * sizes)
         if dropped.any():
             continue
         ordered, loop_starts = _ordered(borders, corners, stays)
@@ -284,7 +281,10 @@ def _fill(borders: _Borders, ordered, loop_starts, known):
     done &= np.diff(np.append(np.searchsorted(loop_starts, starts), len(loop_starts))) == 1
     use = done[fan_rows]
     parts, names, failed = [fans[use]], [owners[starts][fan_rows[use]]], []
-    for row in np.flatnonzero(~done):
+    irregular = np.flatnonzero(~done)
+    affordable = np.cumsum(counts[irregular].astype(float) ** 2) <= LARGEST_CLIPPING
+    failed += owners[starts[irregular[~affordable]]].tolist()
+    for row in irregular[affordable]:
         region = int(owners[starts[row]])
         inside = slice(starts[row], starts[row] + counts[row])
         fingerprint = ordered[inside].tobytes()

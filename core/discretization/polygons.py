@@ -59,8 +59,11 @@ def triangulate_polygon(points: np.ndarray, loop_starts: np.ndarray) -> np.ndarr
     chain = outlines[0]
     # Rightmost hole first: a corner of the chain built so far is then always in sight of the hole's rightmost corner.
     holes.sort(key=lambda loop: -points[loop, 0].max())
-    for position, hole in enumerate(holes):
-        joined = _join_hole(points, chain, hole, holes[position + 1 :])
+    # What a bridge must not cross: all loops, and the bridges built before, which are added as they come.
+    following = np.concatenate([np.roll(loop, -1) for loop in loops])
+    walls = [points, points[following]]
+    for hole in holes:
+        joined = _join_hole(points, chain, hole, walls)
         if joined is None:
             return None
         chain = joined
@@ -85,16 +88,12 @@ def _inside_wedge(points, before, tip, after, targets):
     return np.where(convex, both, either)
 
 
-def _join_hole(points, chain, hole, waiting):
+def _join_hole(points, chain, hole, walls):
     """The chain led along a bridge to the hole, around it and back; None when no corner sees the hole."""
     hole = np.roll(hole, -int(np.argmax(points[hole, 0])))
     start = hole[0]
     origin = points[start]
-    loops = [chain, hole, *waiting]
-    edge_from = np.concatenate(loops)
-    edge_to = np.concatenate([np.roll(loop, -1) for loop in loops])
-    ax, ay = points[edge_from].T
-    bx, by = points[edge_to].T
+    (ax, ay), (bx, by) = walls[0].T, walls[1].T
     before, after = np.roll(chain, 1), np.roll(chain, -1)
     visible = _inside_wedge(points, before, chain, after, np.full(len(chain), start))
     visible &= _inside_wedge(
@@ -116,6 +115,8 @@ def _join_hole(points, chain, hole, waiting):
         near &= (np.minimum(ay, by) <= high[1]) & (np.maximum(ay, by) >= low[1])
         crossed = ~ends & near & (side_a * side_b <= 0.0) & (side_origin * side_target <= 0.0)
         if not crossed.any():
+            walls[0] = np.concatenate([walls[0], origin[None]])
+            walls[1] = np.concatenate([walls[1], target[None]])
             return np.concatenate([chain[: place + 1], hole, hole[:1], chain[place:]])
     return None
 

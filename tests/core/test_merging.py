@@ -309,12 +309,16 @@ def test_what_is_too_long_to_clip_keeps_its_triangles(monkeypatch):
     def hole(a, b):
         return (abs(a - 0.25) < 0.1) & (abs(b - 0.3) < 0.1)
 
-    parts = [grid((0, 0, 0), (1, 0, 0), (0, 1, 0), 20, 20, hole), grid((1, 0, 0), (1, 0, 0), (0, 1, 0), 20, 20)]
+    parts = [
+        grid((0, 0, 0), (1, 0, 0), (0, 1, 0), 20, 20, hole),
+        grid((1, 0, 0), (1, 0, 0), (0, 1, 0), 20, 20),
+        grid((0, 0, 1), (1, 0, 0), (0, 1, 0), 20, 20),
+    ]
     vertices, triangles, keys = join(parts)
-    assert len(merge_coplanar(vertices, triangles, keys).triangles) == 8 + 2
+    assert len(merge_coplanar(vertices, triangles, keys).triangles) == 8 + 2 + 2
     monkeypatch.setattr('radiosity.core.discretization.merging.LARGEST_CLIPPING', 10.0)
     merged = merge_coplanar(vertices, triangles, keys)
-    # The second square keeps the corners of the common side, 21, and its other two.
-    assert len(merged.triangles) == len(parts[0][1]) + 21
+    # The second square must keep the corners along the first, and is then no fan either; the third is.
+    assert len(merged.triangles) == len(parts[0][1]) + len(parts[1][1]) + 2
     assert_same_surface(vertices, triangles, keys, merged)
     assert t_junctions(vertices, merged.triangles) == 0

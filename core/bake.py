@@ -18,9 +18,9 @@ from .baked_mesh import BakedMesh
 from .cleaning import clean
 from .direct_light import direct_light
 from .discretization.merging import merge_coplanar
-from .discretization.patches import Patches, build_patches, probe_segments, split_cells
+from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
-from .gathering import HitTable
+from .gathering import HitTable, gather
 from .indirect_light import indirect_light, uncut_edges
 from .interpolation import fill_from_neighbors
 from .keys import row_keys
@@ -29,7 +29,7 @@ from .patch_checks import check_patches
 from .patch_colors import patch_colors
 from .patch_solution import PatchSolution
 from .probe import probe_error
-from .progress import Progress, shared_progress
+from .progress import Progress, finish, shared_progress
 from .receivers import build_receivers
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
@@ -37,6 +37,12 @@ from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
 
 #: Rings of buried receivers that are filled from their neighbors. Deeper ones lie where nobody sees them.
 FILL_RINGS = 64
+
+#: Cells to which something stands nearer than this many of their sides are split: light changes over that distance.
+NEAR = 1.0
+
+#: Rays per sample point that measure how near.
+PROBE_RAYS = 8
 
 
 @dataclass(frozen=True)
@@ -184,7 +190,10 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     patches = build_patches(merged.vertices, triangles, looks[source], plan.patches)
     cells, starts, segments = probe_segments(patches, merged.vertices, triangles)
     crossed = _crossed(tracer, starts, segments, pool)
-    patches = split_cells(patches, merged.vertices, triangles, cells[crossed])
+    nearness = _nearness(tracer, patches, cells, pool)
+    urgent = np.lexsort((nearness, ~crossed))
+    urgent = urgent[crossed[urgent] | (nearness[urgent] < NEAR)]
+    patches = split_cells(patches, merged.vertices, triangles, cells[urgent])
     reflectance, emission = patch_colors(patches, merged.vertices, triangles, surfaces, source, rows, sampled, vertices)
     return _Model(
         frame=frame,
@@ -210,6 +219,15 @@ def _crossed(tracer: Tracer, starts: np.ndarray, segments: np.ndarray, pool: Ray
 
     pool.run(work, count, CHUNK_RAYS // each)
     return ~seen.all(axis=1)
+
+
+def _nearness(tracer: Tracer, patches: Patches, cells: np.ndarray, pool: RayPool) -> np.ndarray:
+    """(n,) harmonic mean distance to what stands around each cell, in sides of the cell."""
+    points, normals = patches.points[cells].reshape(-1, 3), patches.normals[cells].reshape(-1, 3)
+    nowhere = HitTable(patches, np.zeros(len(patches.first), bool), None)
+    seen = finish(gather(tracer, nowhere, points, normals, PROBE_RAYS, pool))
+    distances = 1 / (1 / seen.distances).reshape(-1, POINTS).mean(axis=1)
+    return distances / np.sqrt(patches.areas[cells])
 
 
 def _looks(surfaces: Surfaces) -> np.ndarray:

@@ -22,6 +22,9 @@ from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 #: Variants of the lattice, so that receivers with nearly the same turn still differ.
 VARIANTS = 16
 
+#: Cosine up to which a hit from behind counts as one on the front: a ray along a wall is on either side by rounding.
+GRAZING = 1e-4
+
 _GOLDEN = 0.6180339887498949
 
 
@@ -105,10 +108,12 @@ class HitTable:
 
     def _patch_rows(self, triangles, u, v, facing, directions) -> np.ndarray:
         rows = self.patches.at(triangles, u, v)
-        back = np.einsum("ij,ij->i", facing, directions) > 0
-        if back.any():
+        along = np.einsum("ij,ij->i", facing, directions)
+        back = np.nonzero(along > 0)[0]
+        if len(back):
+            back = back[along[back] > GRAZING * np.linalg.norm(facing[back], axis=1)]
             rows[back] += self.patches.count
-            rows[back & self.black_back[triangles]] = self.black_row
+            rows[back[self.black_back[triangles[back]]]] = self.black_row
         return rows
 
     def _sky_cell(self, directions: np.ndarray) -> np.ndarray:
@@ -134,10 +139,11 @@ class Gathered:
         count, rays = self.rows.shape
         out = np.empty((count, 3), np.float32)
         block = max(1, 4 * CHUNK_RAYS // max(rays, 1))
-        weights = np.full(rays, 1 / rays, np.float32)
+        # The mean as a matrix product: several times faster than a reduction over the middle axis.
+        mean = np.tile(np.eye(4, 3, dtype=np.float32) / np.float32(rays), (rays, 1))
         for start in range(0, count, block):
             seen = table.take(self.rows[start : start + block], axis=0)
-            out[start : start + block] = np.einsum("nrk,r->nk", seen[..., :3], weights, optimize=False)
+            out[start : start + block] = seen.reshape(len(seen), 4 * rays) @ mean
         return out
 
 

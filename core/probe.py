@@ -8,6 +8,7 @@ from .bake_plan import BakePlan
 from .direct_light import direct_light
 from .gathering import gather
 from .patch_solution import PatchSolution
+from .progress import finish
 from .receivers import Receivers
 
 #: Receivers that are done again, and by what factor their rays grow. Their own error is then half of what is measured,
@@ -37,12 +38,12 @@ def probe_error(
     chosen = np.sort(generator.choice(candidates, count, replace=False))
     points, normals = receivers.points[chosen], receivers.normals[chosen]
     alone = np.empty((0, 2), np.int32)
-    lit, rays = _finish(
+    lit, rays = finish(
         direct_light(
             solution.tracer, solution.lights, points, normals, alone, shadow, solution.pool, seed + 1, everywhere=True
         )
     )
-    seen = _finish(
+    seen = finish(
         gather(solution.tracer, solution.hits_to_rows, points, normals, hemisphere, solution.pool, seed + 7919)
     )
     better = lit + seen.irradiance(solution.table())
@@ -51,10 +52,3 @@ def probe_error(
     error = float(np.sqrt(((baked - better) ** 2).mean()))
     return (error / mean if mean > 0 else 0.0), rays + hemisphere * count
 
-
-def _finish(work):
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value

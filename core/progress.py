@@ -22,3 +22,12 @@ def shared_progress(work: Generator, low: float, high: float) -> Generator:
         except StopIteration as end:
             return end.value
         yield low + (high - low) * done
+
+
+def finish(work: Generator) -> object:
+    """Run `work` to its end; its result."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value

@@ -28,6 +28,10 @@ SPLIT = 4
 #: Cells are split at most until there are this many times as many patches.
 MAX_GROWTH = 2.5
 
+#: Small triangles stay patches of their own while there are at most this many times the patches wanted: clusters lump
+#: together what lies close, and the inside of a shelf is not lit as its front.
+FREE_TRIANGLES = 4
+
 #: Normals are grouped by rounding this multiple of them, so that a cluster's normals lie within about 30 degrees.
 NORMAL_STEPS = 2.0
 
@@ -171,7 +175,10 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     size, divisions = _choose_size(areas, longest, target)
     whole = divisions > 1
     small = np.nonzero(~whole)[0]
-    clusters, representatives = _cluster(corners[small], areas[small], normals[small], looks[small], size)
+    if len(small) <= FREE_TRIANGLES * target:
+        clusters, representatives = np.arange(len(small)), np.repeat(np.arange(len(small))[:, None], POINTS, axis=1)
+    else:
+        clusters, representatives = _cluster(corners[small], areas[small], normals[small], looks[small], size)
 
     cells = np.where(whole, divisions**2, 0).astype(np.int64)
     first = np.concatenate([[0], np.cumsum(cells)])[:-1].astype(np.int32)
@@ -235,9 +242,12 @@ def _cluster(corners, areas, normals, looks, size) -> tuple[np.ndarray, np.ndarr
     count = len(areas)
     if not count:
         return np.empty(0, np.int64), np.empty((0, POINTS), np.int64)
-    place = np.floor(corners.mean(axis=1) / size).astype(np.int64)
+    middle = corners.mean(axis=1)
+    place = np.floor(middle / size).astype(np.int64)
+    # Parallel faces at different depths, the boards of a shelf, are kept apart by the depth of their plane.
+    depth = np.floor(np.einsum("ij,ij->i", middle, normals) / (0.25 * size)).astype(np.int64)
     facing = np.rint(normals * NORMAL_STEPS).astype(np.int64)
-    _, clusters = np.unique(row_keys(*place.T, *facing.T, looks), return_inverse=True)
+    _, clusters = np.unique(row_keys(*place.T, *facing.T, depth, looks), return_inverse=True)
     clusters = clusters.reshape(-1)
     order = np.argsort(clusters, kind="stable")
     upto = np.cumsum(areas[order])
@@ -288,10 +298,8 @@ def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray
 
 
 def split_cells(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, cells: np.ndarray) -> Patches:
-    """Patches whose `cells` (n,) are each cut into `SPLIT` * `SPLIT`; as many of them, from the largest, as may be."""
-    room = int((MAX_GROWTH - 1) * patches.count / SPLIT**2)
-    if len(cells) > room:
-        cells = np.sort(cells[np.argsort(-patches.areas[cells], kind="stable")[:room]])
+    """Patches whose `cells` (n,), the most urgent first, are each cut into `SPLIT` * `SPLIT`, as many as may be."""
+    cells = np.sort(cells[: int((MAX_GROWTH - 1) * patches.count / SPLIT**2)])
     if not len(cells):
         return patches
     parts = SPLIT**2

@@ -57,6 +57,9 @@ def _embree_scene(vertices: np.ndarray, triangles: np.ndarray):
             np.ascontiguousarray(vertices, dtype=np.float32),
             np.ascontiguousarray(triangles, dtype=np.int32),
         )
+    # The first query builds the tree, and must not be asked by two threads at once.
+    nothing = np.ones((1, 3), np.float32)
+    scene.run(nothing, nothing, query="OCCLUDED")
     return scene
 
 

@@ -260,13 +260,24 @@ def main() -> int:
     pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="radiosity-real-blender-") as scratch:
         blender = RealBlender(tools, Path(scratch))
+        failures = []
         try:
             package = install(blender)
-            bake(blender, pictures)
-            run_suite(blender, sys.argv[1:])
-            run_window_tests(blender, package, pictures)
         except (TestError, fetch_wheels.FetchError) as error:
             print(f"run_tests_in_blender: FAILED: {error}", file=sys.stderr)
+            return 1
+        for check, arguments in (
+            (bake, (pictures,)),
+            (run_suite, (sys.argv[1:],)),
+            (run_window_tests, (package, pictures)),
+        ):
+            try:
+                check(blender, *arguments)
+            except TestError as error:
+                failures.append(str(error))
+        for failure in failures:
+            print(f"run_tests_in_blender: FAILED: {failure}", file=sys.stderr)
+        if failures:
             return 1
     print(f"All checks in the real Blender passed; pictures: {pictures}")
     return 0

@@ -78,6 +78,8 @@ class Patches:
 
     def at(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Patch (n,) int32 at hits given by triangle and barycentric weights of its second and third corner."""
+        # Embree's robust test may put a hit just outside its triangle.
+        u, v = np.maximum(u, 0), np.maximum(v, 0)
         k = self.divisions[triangles]
         rows = self.first[triangles]
         big = k > 1
@@ -102,7 +104,7 @@ def _cell(k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     along, up = k * u, k * v
     i, j = np.floor(along), np.floor(up)
     inverted = (along - i) + (up - j) > 1
-    # Rounding may put a hit on the third side just outside the triangle.
+    # The third side too may be passed by a rounding.
     i = np.minimum(i, k - 1)
     cell = i * (2 * k - i) + 2 * j + inverted
     return np.clip(cell, i * (2 * k - i), i * (2 * k - i) + 2 * (k - i) - 2).astype(np.int32)

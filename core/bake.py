@@ -193,7 +193,7 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     nearness = _nearness(tracer, patches, cells, pool)
     urgent = np.lexsort((nearness, ~crossed))
     urgent = urgent[crossed[urgent] | (nearness[urgent] < NEAR)]
-    patches = split_cells(patches, merged.vertices, triangles, cells[urgent])
+    patches = split_cells(patches, merged.vertices, triangles, cells[urgent], plan.patches)
     reflectance, emission = patch_colors(patches, merged.vertices, triangles, surfaces, source, rows, sampled, vertices)
     return _Model(
         frame=frame,

@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from .discretization.patches import POINTS
 from .indirect_light import IndirectSettings
 
-#: Rays per sample point of a patch; a patch has `POINTS` of them.
-PATCH_RAYS = 16
-
 #: Bytes, measured with tracemalloc (benchmarks/memory): a traced triangle with its acceleration structure, a receiver
 #: with its light and interpolation, a patch with the rows its rays met, and what does not grow.
 TRIANGLE_BYTES = 300
@@ -43,7 +40,8 @@ def plan_for(accuracy: float) -> BakePlan:
     effort = 0.03 / accuracy
     return BakePlan(
         patches=int(min(max(2700 * effort, 800), 25000)),
-        patch_rays=PATCH_RAYS,
+        # A receiver in a corner sees half of its hemisphere on one patch, and all of that patch's noise.
+        patch_rays=_rays(32 * effort**0.5, 16, 64),
         penumbra_rays=_rays(64 * effort**0.6, 16, 256),
         tolerance=0.002 * accuracy,
         indirect=IndirectSettings(

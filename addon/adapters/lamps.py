@@ -69,10 +69,11 @@ class LampReader:
         if lamp.type == 'AREA':
             return self._area(lamp, matrix, color, back)
         size = lamp.shadow_soft_size
+        soft = bool(getattr(lamp, "use_soft_falloff", False))  # Blender 4.2 has it, older files open with it off
         intensity = color * _sphere_share(lamp) / (4 * pi)
         if lamp.type == 'SPOT':
-            return SpotLight(position, -back, intensity, float(lamp.spot_size), float(lamp.spot_blend), float(size))
-        return PointLight(position, intensity, float(size))
+            return SpotLight(position, -back, intensity, float(lamp.spot_size), float(lamp.spot_blend), float(size), soft)
+        return PointLight(position, intensity, float(size), soft)
 
     def _area(self, lamp, matrix, color, back) -> AreaLight | None:
         corners = area_outline(lamp) @ matrix[:3, :3].T + matrix[:3, 3]

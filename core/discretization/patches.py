@@ -25,8 +25,8 @@ POINTS = 4
 #: Parts into which the side of a cell is cut that something stands on.
 SPLIT = 4
 
-#: Cells are split at most until there are this many times as many patches.
-MAX_GROWTH = 2.5
+#: Splitting adds at most this many times the patches wanted.
+GROWTH = 1.5
 
 #: Small triangles stay patches of their own while there are at most this many times the patches wanted: clusters lump
 #: together what lies close, and the inside of a shelf is not lit as its front.
@@ -299,9 +299,12 @@ def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray
     return cells, starts, ends - starts
 
 
-def split_cells(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, cells: np.ndarray) -> Patches:
-    """Patches whose `cells` (n,), the most urgent first, are each cut into `SPLIT` * `SPLIT`, as many as may be."""
-    cells = np.sort(cells[: int((MAX_GROWTH - 1) * patches.count / SPLIT**2)])
+def split_cells(
+    patches: Patches, vertices: np.ndarray, triangles: np.ndarray, cells: np.ndarray, target: int
+) -> Patches:
+    """Patches whose `cells` (n,), the most urgent first, are each cut into `SPLIT` * `SPLIT`, until `GROWTH` times the
+    `target` have been added."""
+    cells = np.sort(cells[: int(GROWTH * target / SPLIT**2)])
     if not len(cells):
         return patches
     parts = SPLIT**2

@@ -34,11 +34,16 @@ def sphere_irradiance(cosines: np.ndarray, distances: np.ndarray, radius: float)
 
 @dataclass(frozen=True)
 class PointLight:
-    """A sphere of radius `radius` (m, may be 0) at `position` with `intensity` in W/sr per channel."""
+    """A sphere of radius `radius` (m, may be 0) at `position` with `intensity` in W/sr per channel.
+
+    With `soft` it is a disk instead that turns to face whom it lights: Blender's Soft Falloff, which stays finite where a
+    lamp touches a wall. The irradiance is then intensity * cos / (distance^2 + radius^2), as measured against Cycles.
+    """
 
     position: np.ndarray
     intensity: np.ndarray
     radius: float = 0.0
+    soft: bool = False
 
     @property
     def power(self) -> np.ndarray:
@@ -69,6 +74,8 @@ class PointLight:
         towards = np.asarray(self.position, dtype=float) - points
         distances = np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
         cosines = np.einsum("ij,ij->i", towards, normals) / distances
+        if self.soft:
+            return np.maximum(cosines, 0) / (distances**2 + self.radius**2)
         return sphere_irradiance(cosines, distances, self.radius)
 
     def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -76,14 +83,15 @@ class PointLight:
         towards = np.asarray(self.position, dtype=float) - points
         if self.is_sharp:
             return towards[:, None], np.ones((len(points), 1))
-        segments = self._to_disk(towards, sampling.disk(count))
+        segments = self.disks_towards(towards, sampling.disk(count))
         return segments, np.maximum(np.einsum("nci,ni->nc", segments, normals), 0)
 
     def scout(self, points: np.ndarray) -> np.ndarray:
         """See `Light.scout`."""
         towards = np.asarray(self.position, dtype=float) - points
-        return towards[:, None] if self.is_sharp else self._to_disk(towards, sampling.disk_scouts())
+        return towards[:, None] if self.is_sharp else self.disks_towards(towards, sampling.disk_scouts())
 
-    def _to_disk(self, towards: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+    def disks_towards(self, towards: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+        """Segments (n, count, 3) to places of the disk that the lamp shows, from the segments (n, 3) to its middle."""
         directions = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
         return towards[:, None] + sampling.facing_disks(directions, pattern * self.radius)

@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from . import sampling
 from .point import PointLight
+
+#: Places on the lamp at which the cone is evaluated.
+CONE_PLACES = 16
 
 
 @dataclass(frozen=True)
@@ -20,10 +24,11 @@ class SpotLight:
     angle: float
     blend: float = 0.0
     radius: float = 0.0
+    soft: bool = False
 
     @property
     def _lamp(self) -> PointLight:
-        return PointLight(self.position, self.intensity, self.radius)
+        return PointLight(self.position, self.intensity, self.radius, self.soft)
 
     @property
     def power(self) -> np.ndarray:
@@ -59,14 +64,24 @@ class SpotLight:
         return fade * fade * (3 - 2 * fade)
 
     def geometry(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """See `Light.geometry`."""
-        away = points - np.asarray(self.position, dtype=float)
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        return self._lamp.geometry(points, normals) * self.falloff(away)
+        """See `Light.geometry`. Every place on the lamp has its own cone, as in Cycles: the rim of the light is blurred by
+        the lamp's size."""
+        towards = np.asarray(self.position, dtype=float) - points
+        if self.is_sharp:
+            cone = self.falloff(-towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12))
+        else:
+            cone = self._cone(self._lamp.disks_towards(towards, sampling.disk(CONE_PLACES))).mean(axis=1)
+        return self._lamp.geometry(points, normals) * cone
 
     def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """See `Light.aim`."""
-        return self._lamp.aim(points, normals, count)
+        segments, weights = self._lamp.aim(points, normals, count)
+        return segments, weights * self._cone(segments)
+
+    def _cone(self, segments: np.ndarray) -> np.ndarray:
+        """(n, count) share of the intensity along segments (n, count, 3) towards the lamp."""
+        length = np.maximum(np.linalg.norm(segments, axis=2, keepdims=True), 1e-12)
+        return self.falloff((-segments / length).reshape(-1, 3)).reshape(segments.shape[:2])
 
     def scout(self, points: np.ndarray) -> np.ndarray:
         """See `Light.scout`."""

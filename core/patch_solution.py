@@ -33,6 +33,12 @@ DARK = 0.1
 #: Bounces at most in one solution.
 MAX_SWEEPS = 200
 
+#: Change at which the first, rough solution stops.
+ROUGH = 0.01
+
+#: Bounces among backs that only receivers see.
+LATE_BOUNCES = 3
+
 #: Earlier steps that Anderson's acceleration looks back on.
 MEMORY = 5
 
@@ -111,19 +117,37 @@ class PatchSolution:
         count = self.patches.count
         fronts = np.arange(count)[self.patches.areas > 0]
         for done in self._activate(fronts):
-            yield 0.8 * done
-        yield from self.follow()
+            yield 0.7 * done
+        while len(new := self._met_backs()):
+            for done in self._activate(new):
+                yield 0.7 + 0.1 * done
+        # Which points are buried is told by which backs are dark; that needs no more than a rough solution.
+        yield from shared_progress(self._iterate(max(ROUGH, self.tolerance)), 0.8, 0.9)
+        self._find_buried(self._sides)
+        yield from shared_progress(self._iterate(self.tolerance), 0.9, 1.0)
 
     def follow(self) -> Generator[float, None, None]:
-        """Work on backs met by rays so far until none is new, then solve for all."""
-        while True:
-            new = self._met_backs()
-            if not len(new):
-                break
+        """Work on backs that rays have met since `solve`.
+
+        No patch sees them, or they would have been met before, so they take light from the solution and from each
+        other and give none back: a few bounces among them are all.
+        """
+        known = len(self._sides)
+        while len(new := self._met_backs()):
             yield from self._activate(new)
-        self._iterate()
-        self._find_buried()
-        self._iterate()
+        late = self._sides[known:]
+        for _ in range(LATE_BOUNCES):
+            self._bounce(late)
+        self._find_buried(late)
+        self._bounce(late)
+
+    def _bounce(self, sides: list[_Side]) -> None:
+        table = self.table()
+        for side in sides:
+            self.irradiance[side.rows] = _arriving(side, table)
+            self.radiosity[side.rows] = (
+                self.emitted[side.rows] + self._reflectances[side.rows] * self.irradiance[side.rows]
+            )
 
     def meet(self, rows: np.ndarray) -> bool:
         """Whether rays that lead to these table rows meet a back not yet worked on; if so, call `follow`."""
@@ -156,9 +180,9 @@ class PatchSolution:
         self._unlit[rows] = ~(open_air | (direct.reshape(len(rows), -1) > 0).any(axis=1))
         self.active[rows] = True
 
-    def _find_buried(self) -> None:
+    def _find_buried(self, sides: list[_Side]) -> None:
         dark = self.dark_rows()
-        for side in self._sides:
+        for side in sides:
             share = dark[side.seen.rows].mean(axis=1).reshape(-1, POINTS)
             kept = share <= BURIED
             gone = ~kept.any(axis=1)
@@ -170,25 +194,24 @@ class PatchSolution:
         """(2P, 3) irradiance from the table and the lights, means over the points that are not buried."""
         out = np.zeros_like(self.irradiance)
         for side in self._sides:
-            arriving = side.direct + side.seen.irradiance(table).reshape(-1, POINTS, 3)
-            weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
-            out[side.rows] = np.einsum("npk,np->nk", arriving, weight)
+            out[side.rows] = _arriving(side, table)
         return out
 
-    def _iterate(self) -> None:
+    def _iterate(self, tolerance: float) -> Generator[float, None, None]:
         """Fixed point of B = E + rho (D + F B), by Anderson's acceleration of Jacobi sweeps (Walker and Ni 2011)."""
-        rho = np.concatenate([self.reflectance, self.reflectance * self.two_sided[:, None]]).astype(np.float32)
+        rho = self._reflectances
         emitted = self.emitted
         radiosity = self.radiosity
         steps: list[np.ndarray] = []
         changes: list[np.ndarray] = []
-        for _ in range(MAX_SWEEPS):
+        for sweep in range(MAX_SWEEPS):
+            yield sweep / MAX_SWEEPS
             self.irradiance = self._gathered(self.hits_to_rows.table(radiosity))
             image = emitted + rho * self.irradiance
             change = image - radiosity
             self.sweeps += 1
             self.residual = self._size(change) / max(self._size(image), 1e-30)
-            if self.residual <= self.tolerance:
+            if self.residual <= tolerance:
                 radiosity = image
                 break
             steps.append(image)
@@ -201,6 +224,10 @@ class PatchSolution:
         areas = self.patches.areas
         squares = (values.astype(np.float64) ** 2).sum(axis=1)
         return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
+
+    @property
+    def _reflectances(self) -> np.ndarray:
+        return np.concatenate([self.reflectance, self.reflectance * self.two_sided[:, None]]).astype(np.float32)
 
     @property
     def emitted(self) -> np.ndarray:
@@ -236,6 +263,13 @@ def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarr
             mixed = mixed + weight * (step[:, channel] - steps[-1][:, channel])
         out[:, channel] = np.maximum(mixed, 0)
     return out
+
+
+def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:
+    """(n, 3) irradiance of the patches of one side, means over the points that are not buried."""
+    arriving = side.direct + side.seen.irradiance(table).reshape(-1, POINTS, 3)
+    weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
+    return np.einsum("npk,np->nk", arriving, weight)
 
 
 def _rings(count: int) -> np.ndarray:

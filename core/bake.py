@@ -10,6 +10,7 @@ import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -136,7 +137,8 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             direct, rays = yield from _told(work, 0.3, 0.6, "Direct light")
         with clock.stage("indirect light"):
             free = uncut_edges(model.tracer, receivers, pool)
-            work = indirect_light(solution, receivers, receivers.edges[free], plan.indirect, settings.seed)
+            deadline = clock.started + settings.time_limit if settings.time_limit else inf
+            work = indirect_light(solution, receivers, receivers.edges[free], plan.indirect, settings.seed, deadline)
             indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
         with clock.stage("fill"):
             light = np.concatenate([direct, indirect.irradiance], axis=1)
@@ -150,7 +152,12 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         BakedMesh(mesh, corners, light[:, :3], light[:, 3:], indirect.buried)
         for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True)
     ]
-    return BakeResult(meshes, statistics, [*scene.warnings, *cleaned.warnings, *_receiver_warnings(meshes)])
+    warnings = [*scene.warnings, *cleaned.warnings, *_receiver_warnings(meshes)]
+    if indirect.is_cut_short:
+        warnings.append(
+            f"The time limit of {settings.time_limit:g} s ended refinement early: the estimated error is {error:.1%}"
+        )
+    return BakeResult(meshes, statistics, warnings)
 
 
 def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSettings) -> None:
@@ -287,7 +294,7 @@ def _statistics(scene, model, receivers, solution, indirect, rays, error, clock)
         "nodes": indirect.nodes,
         "lights": len(model.lights),
         "rays": int(rays),
-        "converged": solution.converged,
+        "converged": solution.converged and not indirect.is_cut_short,
         "iterations": solution.sweeps,
         "residual": solution.residual,
         "light_absorbed": checks.light_absorbed,

@@ -1,8 +1,8 @@
 """What an accuracy asked for costs: patches, nodes, rays and thresholds, and the memory they take.
 
-The numbers follow the measurements of the algorithm study (sections 2 and 6): its settings lo, mid and hi reached 2, 1.1
-and 0.85 % on a Cornell box and 3, 1.5 and 1 % in a furnished room. Halving the error takes about twice the patches and
-one and a half times the directions.
+The numbers follow the measurements of the algorithm study (sections 2 and 6): its settings lo, mid and hi reached 2,
+1.1 and 0.85 % on a Cornell box and 3, 1.5 and 1 % in a furnished room. Halving the error takes about twice the patches
+and one and a half times the directions.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Errors that the core raises on purpose: one clear line, naming the object and the remedy.
 
-Everything a user can cause is a child of `RadiosityError`, so that an operator or a command line catches one class and a
-programming error still shows its traceback.
+Everything a user can cause is a child of `RadiosityError`, so that an operator or a command line catches one class and
+a programming error still shows its traceback.
 """
 
 

@@ -50,8 +50,8 @@ def turns_of(count: int, seed: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class HitTable:
-    """How a hit becomes a row of the radiosity table: fronts, backs, sky cells, and two rows that are always black: one for
-    backs that reflect nothing, and last one for rays that leave a scene without sky.
+    """How a hit becomes a row of the radiosity table: fronts, backs, sky cells, and two rows that are always black: one
+    for backs that reflect nothing, and last one for rays that leave a scene without sky.
 
     `black_back` (m,) marks triangles whose back reflects nothing.
     """
@@ -86,7 +86,8 @@ class HitTable:
         return self.rows - 1
 
     def table(self, radiosity: np.ndarray) -> np.ndarray:
-        """(rows, 4) float32 table from the radiosity (2P, 3) of fronts and backs; 4 wide, because that is fetched fastest."""
+        """(rows, 4) float32 table from the radiosity (2P, 3) of fronts and backs; 4 wide, because that is fetched
+        fastest."""
         out = np.zeros((self.rows, 4), np.float32)
         out[: self.sky_start, :3] = radiosity
         if self.sky is not None:

@@ -8,8 +8,10 @@ economy of irradiance caching (Ward, Rubinstein, Clear 1988) without its search.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -42,12 +44,14 @@ class IndirectSettings:
 
 @dataclass
 class IndirectLight:
-    """Irradiance (r, 3) from patches and sky, which receivers are buried, and what it took."""
+    """Irradiance (r, 3) from patches and sky, which receivers are buried, what it took, and whether
+    refinement ended before it was done."""
 
     irradiance: np.ndarray
     buried: np.ndarray
     nodes: int
     rays: int
+    is_cut_short: bool = False
 
 
 def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarray:
@@ -114,6 +118,7 @@ def indirect_light(
     edges: np.ndarray,
     settings: IndirectSettings,
     seed: int,
+    deadline: float = inf,
 ) -> Generator[float, None, IndirectLight]:
     """Irradiance at all receivers from the solved patches; yields the share done.
 
@@ -121,6 +126,8 @@ def indirect_light(
     ----------
     edges : (e, 2) int32
         Receiver edges that cross no wall.
+    deadline : float
+        Of `time.perf_counter`; no further level of refinement is started after it.
     """
     gatherer = _Gatherer(solution, receivers, settings.rays, seed)
     count = len(receivers)
@@ -129,7 +136,7 @@ def indirect_light(
         return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, count * settings.rays)
     spacing = solution.patches.spacing * settings.spacing
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
-    values, valid = yield from _refine(gatherer, levels, settings)
+    values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
     finest = levels[-1]
     irradiance, found = interpolate(
         receivers.points,
@@ -143,7 +150,7 @@ def indirect_light(
     )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
     buried = ~(found & valid[finest.clusters])
-    return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays)
+    return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays, is_cut_short)
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:
@@ -162,8 +169,8 @@ def _candidates(level: NodeLevel, clusters: np.ndarray) -> np.ndarray:
     return np.concatenate([clusters[:, None], level.neighbors[clusters]], axis=1)
 
 
-def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSettings):
-    """Values (k, 3) and validity (k,) of all nodes of the finest level."""
+def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSettings, deadline: float):
+    """Values (k, 3) and validity (k,) of all nodes of the finest level, and whether time ran out."""
     receivers = gatherer.receivers
     level = levels[0]
     share = 1 / len(levels)
@@ -185,7 +192,8 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
             valid,
             level.spacing,
         )
-        chosen = finer.nodes[wanted[parents] | ~found]
+        is_late = time.perf_counter() > deadline
+        chosen = finer.nodes[(wanted[parents] & (not is_late)) | ~found]
         yield from shared_progress(gatherer.trace(chosen), depth * share, (depth + 1) * share)
         known = gatherer.traced[finer.nodes]
         values = np.where(known[:, None], gatherer.values[finer.nodes], guess)
@@ -194,7 +202,7 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
         error = (np.abs(values - guess) / np.maximum(scale, 1e-30)).max(axis=1)
         rough = known & found & (error > settings.tolerance)
         level = finer
-    return values, valid
+    return values, valid, time.perf_counter() > deadline
 
 
 def _contrast(level: NodeLevel, values: np.ndarray, valid: np.ndarray) -> np.ndarray:

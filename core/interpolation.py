@@ -14,8 +14,8 @@ from .frames import tangents
 #: Weight of the tie that keeps slopes finite where the nodes lie on a line or on one side; relative to the spacing.
 RIDGE = 0.02
 
-#: Squared distance, in spacings, below which a node weighs no more for being nearer. Large enough that a node's noise is
-#: shared with its neighbors.
+#: Squared distance, in spacings, below which a node weighs no more for being nearer. Large enough that a node's noise
+#: is shared with its neighbors.
 SOFTNESS = 0.3
 
 #: How far a value may leave the range of the nodes it is fitted to, as part of that range. Light does go on rising

@@ -22,8 +22,8 @@ from .lights import Light
 from .progress import shared_progress
 from .visibility.embree import RayPool, Tracer
 
-#: A point is buried when more than this part of its rays meets dark backs. Inside a solid all of them do; under a sheet,
-#: a table's top say, many may, and that shade is real.
+#: A point is buried when more than this part of its rays meets dark backs. Inside a solid all of them do; under a
+#: sheet, a table's top say, many may, and that shade is real.
 BURIED = 0.8
 
 #: A back counts as dark when no light and no sky reaches it directly, and what seeps in stays below this part of the

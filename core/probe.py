@@ -51,4 +51,3 @@ def probe_error(
     mean = float(baked.mean())
     error = float(np.sqrt(((baked - better) ** 2).mean()))
     return (error / mean if mean > 0 else 0.0), rays + hemisphere * count
-

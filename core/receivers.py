@@ -23,7 +23,8 @@ SAME_NORMAL = 1e-3
 SAME_PLACE = 1e-7
 
 #: Receivers on the border of their face are moved towards its middle by this part of the way, so that their rays start
-#: above their own face and not in the wall beside it (study, section 5: without it half the rays of a border go astray).
+#: above their own face and not in the wall beside it (study, section 5: without it half the rays of a border go
+#: astray).
 INSET = 1e-3
 
 #: A receiver lies on a border when the middle of its faces is off by more than this part of their size.

@@ -72,7 +72,9 @@ class LampReader:
         soft = bool(getattr(lamp, "use_soft_falloff", False))  # Blender 4.2 has it, older files open with it off
         intensity = color * _sphere_share(lamp) / (4 * pi)
         if lamp.type == 'SPOT':
-            return SpotLight(position, -back, intensity, float(lamp.spot_size), float(lamp.spot_blend), float(size), soft)
+            return SpotLight(
+                position, -back, intensity, float(lamp.spot_size), float(lamp.spot_blend), float(size), soft
+            )
         return PointLight(position, intensity, float(size), soft)
 
     def _area(self, lamp, matrix, color, back) -> AreaLight | None:

@@ -273,7 +273,8 @@ def _cluster_points(representatives: np.ndarray) -> np.ndarray:
 
 
 def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray):
-    """Segments just above each cell, along its sides and through its middle, that nothing crosses unless it stands there.
+    """Segments just above each cell, along its sides and through its middle, that nothing crosses unless it stands
+    there.
 
     Returns
     -------

@@ -13,8 +13,8 @@ from . import sampling
 
 @dataclass(frozen=True)
 class AreaLight:
-    """A planar convex polygon `vertices` (k, 3) with `exitance` (W/m2 per channel) on its front, by the right-hand rule,
-    and on its back too where `two_sided`."""
+    """A planar convex polygon `vertices` (k, 3) with `exitance` (W/m2 per channel) on its front, by the right-hand
+    rule, and on its back too where `two_sided`."""
 
     vertices: np.ndarray
     exitance: np.ndarray

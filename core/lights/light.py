@@ -1,7 +1,7 @@
 """What every light can do, and nothing else.
 
-Direct light is split in two factors, as in Baum et al. 1989: an unoccluded part in closed form, and a visibility that is
-sampled by rays. A light therefore answers two questions: how much would arrive without occluders, and along which
+Direct light is split in two factors, as in Baum et al. 1989: an unoccluded part in closed form, and a visibility that
+is sampled by rays. A light therefore answers two questions: how much would arrive without occluders, and along which
 segments must rays be cast to find the visible share.
 """
 

@@ -13,8 +13,8 @@ def sphere_irradiance(cosines: np.ndarray, distances: np.ndarray, radius: float)
     """Irradiance from a uniform sphere of unit intensity, cut by the receiver's horizon, in 1/m2 (n,).
 
     `cosines` (n,) are those between the normal and the direction to the center, `distances` (n,) those to it. A point
-    within the sphere is treated as if on its surface. Closed form of the sphere-to-element configuration factor (Howell,
-    Catalog of Radiation Heat Transfer Configuration Factors, B-43).
+    within the sphere is treated as if on its surface. Closed form of the sphere-to-element configuration factor
+    (Howell, Catalog of Radiation Heat Transfer Configuration Factors, B-43).
     """
     if radius <= 0:
         return np.maximum(cosines, 0) / distances**2
@@ -36,8 +36,8 @@ def sphere_irradiance(cosines: np.ndarray, distances: np.ndarray, radius: float)
 class PointLight:
     """A sphere of radius `radius` (m, may be 0) at `position` with `intensity` in W/sr per channel.
 
-    With `soft` it is a disk instead that turns to face whom it lights: Blender's Soft Falloff, which stays finite where a
-    lamp touches a wall. The irradiance is then intensity * cos / (distance^2 + radius^2), as measured against Cycles.
+    With `soft` it is a disk instead that turns to face whom it lights: Blender's Soft Falloff, which stays finite where
+    a lamp touches a wall. The irradiance is then intensity * cos / (distance^2 + radius^2), as measured against Cycles.
     """
 
     position: np.ndarray

@@ -64,8 +64,8 @@ class SpotLight:
         return fade * fade * (3 - 2 * fade)
 
     def geometry(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """See `Light.geometry`. Every place on the lamp has its own cone, as in Cycles: the rim of the light is blurred by
-        the lamp's size."""
+        """See `Light.geometry`. Every place on the lamp has its own cone, as in Cycles: the rim of the light is blurred
+        by the lamp's size."""
         towards = np.asarray(self.position, dtype=float) - points
         if self.is_sharp:
             cone = self.falloff(-towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12))

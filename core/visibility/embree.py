@@ -194,7 +194,7 @@ class RayPool:
             self._pool = None
 
     def chunks(self, work: Callable[[int, int], None], count: int, size: int):
-        """Call ``work(start, stop)`` for slices of `count` items, `size` at a time; yields the share done after each."""
+        """Call ``work(start, stop)`` for slices of `count` items of `size` each; yields the share done after each."""
         starts = range(0, count, max(1, size))
         if self._pool is None:
             for start in starts:

@@ -72,7 +72,7 @@ def polygon_scouts(vertices: np.ndarray) -> np.ndarray:
 
 
 def facing_disks(directions: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-    """(n, count, 3) the places `pattern` (count, 2) of disks around the origin that face the unit `directions` (n, 3)."""
+    """(n, count, 3) the places `pattern` (count, 2) of disks around the origin facing unit `directions` (n, 3)."""
     helper = np.where(np.abs(directions[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     across = np.cross(directions, helper)
     across /= np.linalg.norm(across, axis=1, keepdims=True)

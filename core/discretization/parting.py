@@ -216,7 +216,7 @@ def _snapped(needed, *wishes):
     """A neighbor's number of segments, the smallest that is enough and not much too fine; else what is needed."""
     best = needed
     for wish in sorted(wishes, key=lambda wish: -wish.sum()):
-        fits = (wish >= 1) & (wish <= LARGEST_REFINEMENT * needed)
+        fits = (wish >= needed) & (wish <= LARGEST_REFINEMENT * needed)
         best = np.where(fits, wish, best)
     return best
 

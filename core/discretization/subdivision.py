@@ -24,6 +24,8 @@ from .parting import Parts, part_quads, part_triangles
 SLACK = 1e-4
 # Faces with more than four corners have long chords where edges are short. Up to this many lengths they stay whole.
 LONGEST_CHORD = 2.0
+# Parting ends after that many steps per bit of the largest count at most; nets of random faces need two to three.
+_STEPS_PER_HALVING = 16
 # Vertices that the proposed length leads to, in all selected meshes together: enough for soft shadows in a room, and
 # baked in about a second.
 PROPOSED_VERTICES = 20_000
@@ -285,14 +287,17 @@ def _divide(mesh, pieces: _Pieces, line_bases, first_free, length, counting, lim
         items.append((numbers, vertices, weights, bases, np.where(forward, 1, -1), segments))
     parts = Parts(np.concatenate(places), first_free, lambda a, b: cut_counts(a, b, length), counting)
     triangles, quads = items
-    while len(triangles[0]) or len(quads[0]):
+    # Each step halves a number of each piece, so a few times log2 of the largest is enough for all of them.
+    for _ in range(_STEPS_PER_HALVING * (int(pieces.line_counts.max()).bit_length() + 1)):
         if parts.vertex_count > limit:
             return None
+        if not (len(triangles[0]) or len(quads[0])):
+            return parts
         more_triangles, more_quads = part_triangles(parts, triangles)
         also_triangles, also_quads = part_quads(parts, quads)
         triangles = tuple(np.concatenate(pair) for pair in zip(more_triangles, also_triangles, strict=True))
         quads = tuple(np.concatenate(pair) for pair in zip(more_quads, also_quads, strict=True))
-    return None if parts.vertex_count > limit else parts
+    raise RuntimeError(f"{len(triangles[0]) + len(quads[0])} pieces are left after the last step of parting")
 
 
 def _vertex_means(mesh, pieces: _Pieces, parts: Parts):

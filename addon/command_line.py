@@ -30,6 +30,7 @@ DONE, FAILED, BAD_ARGUMENTS, INTERRUPTED = 0, 1, 2, 130
 _DESCRIPTION = "Bake diffuse interreflection into a color attribute of the meshes of a scene."
 _EPILOG = """\
 IN is a .blend, .gltf, .glb, .obj, .ply, .fbx or .usd* file; with `blender -b FILE --command` it may be left out.
+All meshes that the render shows are baked, whatever was selected when the file was saved.
 At least one of --output, --report and --image says what is to be written; nothing else is. With several files
 they name folders, where each result gets the name of its file. Exit status: 0 done, 1 a file failed, 2 bad
 arguments, 130 stopped by Ctrl-C. A result appears complete or not at all."""
@@ -89,6 +90,7 @@ def build_parser(program: str, may_be_open: bool = False) -> argparse.ArgumentPa
     bake.add_argument("--domain", type=_name, choices=("corner", "point"), help="where colors are stored")
     bake.add_argument("--type", type=_name, choices=("float", "byte"), help="kind of number that stores colors")
     bake.add_argument("--bake", type=_name, choices=BAKE_TYPES, help="which part of the light")
+    bake.add_argument("--selected", action="store_true", help="bake only what is selected in the file")
     bake.add_argument("--world-strength", type=float, metavar="W", help="light with a white sky of this strength")
     bake.add_argument("--seed", type=int, metavar="N", help="pattern of random numbers")
     bake.add_argument("--threads", type=int, metavar="N", help="processor cores to use, 0 for all")
@@ -209,7 +211,7 @@ def main(
         try:
             given = overrides(arguments)
             _check(given)
-            return _run(tasks, given, arguments.enable_scripts, stream)
+            return _run(tasks, given, arguments, stream)
         except SettingsError as error:
             sys.stderr.write(f"{program}: error: {error}\n")
             return BAD_ARGUMENTS
@@ -227,12 +229,12 @@ def _check(given: dict[str, object]) -> None:
     bake_options(bpy.context.scene.radiosity, **given)
 
 
-def _run(tasks: list[Task], given: dict[str, object], enable_scripts: bool, stream) -> int:
+def _run(tasks: list[Task], given: dict[str, object], arguments: argparse.Namespace, stream) -> int:
     failed = []
     for task in tasks:
         label = str(task.source or "the open file")
         try:
-            stream.write(f"{_bake(task, given, enable_scripts)}\n")
+            stream.write(f"{_bake(task, given, arguments.enable_scripts, arguments.selected)}\n")
             stream.flush()
         except (RadiosityError, OSError) as error:
             failed.append(label)
@@ -248,15 +250,15 @@ def _one_line(label: str, message: Exception | str) -> str:
     return text if label in text else f"{label}: {text}"
 
 
-def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
+def _bake(task: Task, given: dict[str, object], enable_scripts: bool, only_selected: bool) -> str:
     """Bake one file, write what was named, and say so in one line."""
     import bpy
 
-    from .adapters.bake_job import bake_job_steps
     from .adapters.bake_settings import bake_options
     from .adapters.console import ProgressLine
     from .adapters.picture import render_baked_picture
     from .adapters.scene_files import open_scene, save_scene, write_all_or_nothing
+    from .adapters.stored_state import leave_edit_mode, receiving
 
     line = ProgressLine(task.source.name if task.source else "radiosity", sys.stderr)
     try:
@@ -265,14 +267,9 @@ def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
             open_scene(task.source, enable_scripts)
         context = bpy.context
         options = bake_options(context.scene.radiosity, **given)
-        steps = bake_job_steps(context, options)
-        while True:
-            try:
-                progress = next(steps)
-            except StopIteration as end:
-                report = end.value
-                break
-            line.update(progress.fraction, progress.message)
+        leave_edit_mode(context)
+        with receiving(context, only_selected):
+            report = _baked(context, options, line)
         line.update(1.0, "Writing")
         writers = {}
         if task.output:
@@ -292,6 +289,19 @@ def _bake(task: Task, given: dict[str, object], enable_scripts: bool) -> str:
         sys.stderr.write(f"radiosity: warning: {_one_line(name, warning)}\n")
     sys.stderr.flush()
     return f"{name}: {_summary(report)} -> {', '.join(str(path) for path in task.results)}"
+
+
+def _baked(context, options, line) -> dict:
+    """Bake the open file and show how far it is; returns the report."""
+    from .adapters.bake_job import bake_job_steps
+
+    steps = bake_job_steps(context, options)
+    while True:
+        try:
+            progress = next(steps)
+        except StopIteration as end:
+            return end.value
+        line.update(progress.fraction, progress.message)
 
 
 def _summary(report: dict) -> str:

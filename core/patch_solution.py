@@ -4,8 +4,9 @@ Each patch gathers at four points, direct light by the lights' own way and the r
 are kept, so the system B = rho (D + F B) is solved on numbers alone. Backs are patches of their own, but only those are
 worked on that some ray has met: a closed room never pays for its outside.
 
-Points inside a solid see only dark backs. They are left out of their patch's mean, or the dark under a cupboard would
-bleed out from beneath it.
+The inside of a solid is told by its rays: no light reaches it, and all it sees is as enclosed as itself. Its backs are
+taken as black, or white walls would multiply what slips through a crack a thousand times. Sample points that see only
+such backs are left out of their patch's mean, or the dark under a cupboard would bleed out from beneath it.
 """
 
 from __future__ import annotations
@@ -20,21 +21,20 @@ from .discretization.patches import POINTS, Patches
 from .gathering import Gathered, HitTable, gather
 from .lights import Light
 from .progress import shared_progress
-from .visibility.embree import RayPool, Tracer
+from .visibility.embree import CHUNK_RAYS, RayPool, Tracer
 
 #: A point is buried when more than this part of its rays meets dark backs. Inside a solid all of them do; under a
 #: sheet, a table's top say, many may, and that shade is real.
 BURIED = 0.8
 
-#: A back counts as dark when no light and no sky reaches it directly, and what seeps in stays below this part of the
-#: mean radiosity of all fronts: a patch that lies half within a solid shows some light inside.
-DARK = 0.1
+#: A point is enclosed when this part of its rays meets enclosed patches: all but what slips through cracks.
+ENCLOSED = 0.97
+
+#: Rounds of looking which patches stay enclosed when others turn out not to be; a solid settles in two or three.
+MAX_ROUNDS = 30
 
 #: Bounces at most in one solution.
 MAX_SWEEPS = 200
-
-#: Change at which the first, rough solution stops.
-ROUGH = 0.01
 
 #: Bounces among backs that only receivers see.
 LATE_BOUNCES = 3
@@ -78,7 +78,7 @@ class PatchSolution:
     buried: np.ndarray = field(init=False)
     active: np.ndarray = field(init=False)
     _met: np.ndarray = field(init=False)
-    _unlit: np.ndarray = field(init=False)
+    enclosed: np.ndarray = field(init=False)
     sweeps: int = 0
     residual: float = 0.0
     rays_traced: int = 0
@@ -91,7 +91,7 @@ class PatchSolution:
         self.active = np.zeros(2 * count, bool)
         self.buried = np.zeros(2 * count, bool)
         self._met = np.zeros(self.hits_to_rows.rows, bool)
-        self._unlit = np.zeros(2 * count, bool)
+        self.enclosed = np.zeros(2 * count, bool)
 
     @property
     def patches(self) -> Patches:
@@ -103,12 +103,10 @@ class PatchSolution:
         return self.hits_to_rows.table(self.radiosity)
 
     def dark_rows(self) -> np.ndarray:
-        """(rows,) bool: backs that no light reaches, and backs that reflect nothing."""
+        """(rows,) bool: backs inside solids, and backs that reflect nothing."""
         dark = np.zeros(self.hits_to_rows.rows, bool)
         count = self.patches.count
-        areas = self.patches.areas[:, None]
-        level = DARK * float(((areas * self.radiosity[:count]).sum(axis=0) / max(areas.sum(), 1e-300)).max())
-        dark[count : 2 * count] = self._unlit[count:] & (self.radiosity[count:].max(axis=1) <= level)
+        dark[count : 2 * count] = self.enclosed[count:]
         dark[self.hits_to_rows.black_row] = True
         return dark
 
@@ -121,10 +119,9 @@ class PatchSolution:
         while len(new := self._met_backs()):
             for done in self._activate(new):
                 yield 0.7 + 0.1 * done
-        # Which points are buried is told by which backs are dark; that needs no more than a rough solution.
-        yield from shared_progress(self._iterate(max(ROUGH, self.tolerance)), 0.8, 0.9)
+        self._find_enclosed()
         self._find_buried(self._sides)
-        yield from shared_progress(self._iterate(self.tolerance), 0.9, 1.0)
+        yield from shared_progress(self._iterate(self.tolerance), 0.8, 1.0)
 
     def follow(self) -> Generator[float, None, None]:
         """Work on backs that rays have met since `solve`.
@@ -136,10 +133,10 @@ class PatchSolution:
         while len(new := self._met_backs()):
             yield from self._activate(new)
         late = self._sides[known:]
+        self._find_enclosed()
+        self._find_buried(late)
         for _ in range(LATE_BOUNCES):
             self._bounce(late)
-        self._find_buried(late)
-        self._bounce(late)
 
     def _bounce(self, sides: list[_Side]) -> None:
         table = self.table()
@@ -173,17 +170,37 @@ class PatchSolution:
         self.rays_traced += rays + self.rays * len(points)
         self._sides.append(_Side(rows, direct.reshape(-1, POINTS, 3), seen, np.ones((len(rows), POINTS), bool)))
         self._met[seen.rows] = True
-        skies = slice(self.hits_to_rows.sky_start, self.hits_to_rows.sky_start + self.hits_to_rows.sky_cells)
-        outside = np.zeros(self.hits_to_rows.rows, bool)
-        outside[skies] = True
-        open_air = outside[seen.rows].any(axis=1).reshape(-1, POINTS).any(axis=1)
-        self._unlit[rows] = ~(open_air | (direct.reshape(len(rows), -1) > 0).any(axis=1))
         self.active[rows] = True
+
+    def _find_enclosed(self) -> None:
+        """Mark the patches that no light reaches and that see nothing but each other.
+
+        A patch half inside a solid counts as enclosed if one of its points is, or the inside would seem open there.
+        """
+        rows = self.hits_to_rows.rows
+        unlit = [
+            ~(side.direct > 0).any(axis=2) & ~(self.emitted[side.rows] > 0).any(axis=1)[:, None] for side in self._sides
+        ]
+        inside = np.zeros(rows, np.uint8)
+        inside[self.hits_to_rows.black_row] = 1
+        for side, dark in zip(self._sides, unlit, strict=True):
+            inside[side.rows] = dark.any(axis=1)
+        for _ in range(MAX_ROUNDS):
+            before = int(inside.sum())
+            stays = [
+                (dark & (_share(inside, side.seen.rows).reshape(-1, POINTS) >= ENCLOSED)).any(axis=1)
+                for side, dark in zip(self._sides, unlit, strict=True)
+            ]
+            for side, stay in zip(self._sides, stays, strict=True):
+                inside[side.rows] = stay
+            if int(inside.sum()) == before:
+                break
+        self.enclosed = inside[: 2 * self.patches.count] > 0
 
     def _find_buried(self, sides: list[_Side]) -> None:
         dark = self.dark_rows()
         for side in sides:
-            share = dark[side.seen.rows].mean(axis=1).reshape(-1, POINTS)
+            share = _share(dark, side.seen.rows).reshape(-1, POINTS)
             kept = share <= BURIED
             gone = ~kept.any(axis=1)
             self.buried[side.rows[gone]] = True
@@ -227,7 +244,8 @@ class PatchSolution:
 
     @property
     def _reflectances(self) -> np.ndarray:
-        return np.concatenate([self.reflectance, self.reflectance * self.two_sided[:, None]]).astype(np.float32)
+        back = self.reflectance * (self.two_sided & ~self.enclosed[self.patches.count :])[:, None]
+        return np.concatenate([self.reflectance, back]).astype(np.float32)
 
     @property
     def emitted(self) -> np.ndarray:
@@ -270,6 +288,15 @@ def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:
     arriving = side.direct + side.seen.irradiance(table).reshape(-1, POINTS, 3)
     weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
     return np.einsum("npk,np->nk", arriving, weight)
+
+
+def _share(marked: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(n,) part of the rays (n, r) that lead to marked rows of the table, in blocks of bounded memory."""
+    out = np.empty(len(rows), np.float32)
+    block = max(1, 4 * CHUNK_RAYS // max(rows.shape[1], 1))
+    for start in range(0, len(rows), block):
+        out[start : start + block] = marked[rows[start : start + block]].mean(axis=1, dtype=np.float32)
+    return out
 
 
 def _rings(count: int) -> np.ndarray:

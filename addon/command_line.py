@@ -279,7 +279,11 @@ def _bake(task: Task, given: dict[str, object], enable_scripts: bool, only_selec
             writers[task.report] = partial(Path.write_text, data=text, encoding="utf-8")
         if task.image:
             writers[task.image] = lambda path: render_baked_picture(
-                context, path, options.attribute_name, threads=options.settings.threads
+                context,
+                path,
+                options.attribute_name,
+                threads=options.settings.threads,
+                world_strength=options.world_strength,
             )
         write_all_or_nothing(writers)
     finally:

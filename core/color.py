@@ -22,14 +22,14 @@ _BRIGHT_KEY = 0.85
 _BRIGHT_PERCENTILE = 97.0
 
 #: The two wishes above rarely agree. The mean may push bright surfaces over their key by this factor, into the shoulder
-#: of `compress_highlights`, and no further.
-_OVEREXPOSURE = 2.0
+#: of `compress_highlights`, and no further: white walls under it keep their shading, at 229 of 255 or so.
+_OVEREXPOSURE = 1.4
 
 #: Below this share of the bright surfaces all is black to the eye: clamps the logarithm.
 _BLACK = 1e-3
 
-#: Linear display value above which `compress_highlights` bends.
-_SHOULDER = 0.7
+#: Linear display value above which `compress_highlights` bends. Higher, and what is twice too bright turns to paper.
+_SHOULDER = 0.5
 
 
 def luminance(colors: np.ndarray) -> np.ndarray:

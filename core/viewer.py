@@ -90,8 +90,9 @@ class ShownScene:
         Scene-linear color at each corner of each triangle.
     is_light : (m,) bool
         Whether colors are light, to be exposed. The others are shown as they are, 0 to 1: surfaces that hold no bake.
-    background : (3,) float
-        Color where a ray meets nothing, shown as it is unless `background_is_light`.
+    background : (3,) or (rows, columns, 3) float
+        Color where a ray meets nothing, shown as it is unless `background_is_light`; by direction on the grid of
+        `scene.Sky`, interpolated.
     """
 
     vertices: np.ndarray
@@ -159,9 +160,10 @@ class Viewer:
         """Color (r, 3) seen at each window point, and whether it is light (r,)."""
         triangles, u, v, _ = self.hits(view, x, y)
         colors = np.empty((len(triangles), 3), np.float32)
-        colors[:] = self.scene.background
         is_light = np.full(len(triangles), self.scene.background_is_light)
         met = triangles >= 0
+        if not met.all():
+            colors[~met] = _sky_colors(self.scene.background, view.rays(x[~met], y[~met])[1])
         seen = triangles[met]
         corners = self.scene.colors[seen]
         u, v = u[met, None], v[met, None]
@@ -211,13 +213,31 @@ class Viewer:
             rows = np.arange(top * supersampling - margin, (top + count) * supersampling + margin)
             x, y = _window_points(columns, rows, width * supersampling, height * supersampling)
             colors, is_light = self.colors(view, x, y)
-            colors[is_light] *= exposure
             # Highlights are compressed before filtering: one lamp sample must not outshine its pixel's others, or the
             # lamp's edge would be a staircase.
-            shown = compress_highlights(colors).reshape(len(rows), len(columns), 3)
+            colors[is_light] = compress_highlights(colors[is_light] * exposure)
+            shown = np.clip(colors, 0, 1).reshape(len(rows), len(columns), 3)
             shown = _decimate(_decimate(shown, kernel, supersampling, count, 0), kernel, supersampling, width, 1)
             pixels[top : top + count] = dither_to_bytes(linear_to_srgb(shown), top)
         return pixels
+
+
+def _sky_colors(background: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(n, 3) or (3,) colors of the background in directions (n, 3) of any length."""
+    background = np.asarray(background, dtype=np.float64)
+    if background.ndim == 1 or background.shape[:2] == (1, 1):
+        return background.reshape(3)
+    rows, columns = background.shape[:2]
+    height = directions[:, 2] / np.linalg.norm(directions, axis=1)
+    # Centers of cells lie half a cell off the grid's start; azimuth goes around, height ends at the poles.
+    row = np.clip((height + 1) / 2 * rows - 0.5, 0, rows - 1)
+    column = np.arctan2(directions[:, 1], directions[:, 0]) / (2 * np.pi) * columns - 0.5
+    low, left = np.floor(row).astype(int), np.floor(column).astype(int)
+    up, across = (row - low)[:, None], (column - left)[:, None]
+    high, right = np.minimum(low + 1, rows - 1), (left + 1) % columns
+    left %= columns
+    lower = (1 - across) * background[low, left] + across * background[low, right]
+    return (1 - up) * lower + up * ((1 - across) * background[high, left] + across * background[high, right])
 
 
 def _window_points(columns: np.ndarray, rows: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:

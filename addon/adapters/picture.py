@@ -17,8 +17,10 @@ import numpy as np
 from ...core.errors import EmptySceneError
 from ...core.viewer import ShownScene, View, Viewer
 from .camera import picture_size, scene_view
+from .images import ImageLibrary
 from .mesh_arrays import read_corner_normals, read_mesh
 from .picture_file import write_picture
+from .world import read_world
 
 logger = logging.getLogger(__name__)
 
@@ -59,6 +61,7 @@ def render_baked_picture(
     attribute_name: str,
     resolution: tuple[int, int] | None = None,
     threads: int = 0,
+    world_strength: float | None = None,
 ) -> None:
     """Write a PNG of the scene lit by a color attribute, seen from its camera or from one framed on it.
 
@@ -72,6 +75,8 @@ def render_baked_picture(
         In pixels; None takes the scene's, its longest side capped at `camera.MAX_SIDE`.
     threads : int
         0 takes all cores.
+    world_strength : float or None
+        That of the bake: the sky behind the scene is the one that lit it.
 
     Raises
     ------
@@ -80,7 +85,7 @@ def render_baked_picture(
     PictureFileError
         If the file cannot be written.
     """
-    write_picture(path, baked_pixels(context, attribute_name, resolution, threads))
+    write_picture(path, baked_pixels(context, attribute_name, resolution, threads, world_strength))
 
 
 def render_comparison(
@@ -103,12 +108,16 @@ def render_comparison(
 
 
 def baked_pixels(
-    context: bpy.types.Context, attribute_name: str, resolution: tuple[int, int] | None = None, threads: int = 0
+    context: bpy.types.Context,
+    attribute_name: str,
+    resolution: tuple[int, int] | None = None,
+    threads: int = 0,
+    world_strength: float | None = None,
 ) -> np.ndarray:
     """The picture of `render_baked_picture` as (h, w, 3) uint8."""
     parts = _read_parts(context, attribute_name)
     width, height = resolution or picture_size(context.scene)
-    return _pixels(context, parts, width, height, threads)[0]
+    return _pixels(context, parts, width, height, threads, world_strength=world_strength)[0]
 
 
 def _pixels(
@@ -119,11 +128,12 @@ def _pixels(
     threads: int,
     view: View | None = None,
     dim: float = _UNLIT_DIM,
+    world_strength: float | None = None,
 ) -> tuple[np.ndarray, View]:
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts])
     vertices = np.concatenate([part.vertices for part in parts])
     triangles = np.concatenate([part.triangles + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
-    background, is_light = _background(context.scene)
+    background, is_light = _background(context, world_strength)
     shown = ShownScene(
         vertices=vertices,
         triangles=triangles,
@@ -159,17 +169,12 @@ def _head_lit(part: _Part, view: View, dim: float) -> np.ndarray:
     return (part.look[:, None, :] * shade[:, :, None]).astype(np.float32)
 
 
-def _background(scene: bpy.types.Scene) -> tuple[np.ndarray, bool]:
-    """Color behind the scene, and whether it is light: the world's constant color, or neutral where it gives none."""
-    world = scene.world
-    color = np.zeros(3)
-    if world is not None:
-        node = _first_node(world.node_tree, {'BACKGROUND'}) if world.node_tree else None
-        if node is None:
-            color = np.array(world.color)
-        elif not node.inputs["Color"].is_linked and not node.inputs["Strength"].is_linked:
-            color = np.array(node.inputs["Color"].default_value[:3]) * node.inputs["Strength"].default_value
-    return (color, True) if color.max() > 0 else (np.array(_BACKGROUND), False)
+def _background(context: bpy.types.Context, world_strength: float | None) -> tuple[np.ndarray, bool]:
+    """Colors behind the scene, and whether they are light: the sky of the bake, or neutral where it is black."""
+    # A view layer may have a world of its own from Blender 5.0 on.
+    world = getattr(context.view_layer, "world_override", None) or context.scene.world
+    sky, _warnings = read_world(world, ImageLibrary(), world_strength)
+    return (np.array(_BACKGROUND), False) if sky is None else (sky.radiance, True)
 
 
 def _first_node(tree: bpy.types.NodeTree, kinds: set[str]) -> bpy.types.Node | None:

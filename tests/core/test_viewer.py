@@ -40,14 +40,14 @@ def _linear(pixels):
 
 
 def test_colors_are_interpolated_linearly_over_a_triangle():
-    corners = np.array([[0.0, 0, 0], [0.6, 0, 0], [0.6, 0.4, 0], [0, 0.4, 0]], dtype=np.float32)
+    corners = np.array([[0.0, 0, 0], [0.48, 0, 0], [0.48, 0.4, 0], [0, 0.4, 0]], dtype=np.float32)
     viewer = Viewer(_scene(_wall(2.0, half=2.0, colors=corners)))
     picture = _linear(viewer.picture(_camera(), 64, 64, exposure=1.0))
     at = (np.arange(64) + 0.5) / 64
     # A bilinear field equals what two triangles interpolate where it is linear; half a step of 8 bits is 1/510 encoded,
     # dithering makes it one step, and the slope of the sRGB curve is at most 1.7 at these values or 12.9 ** -1 below.
     inner = slice(3, -3)
-    red, green = np.tile(0.6 * at, (64, 1)), np.tile(0.4 * at[::-1, None], (1, 64))
+    red, green = np.tile(0.48 * at, (64, 1)), np.tile(0.4 * at[::-1, None], (1, 64))
     np.testing.assert_allclose(picture[inner, inner, 0], red[inner, inner], atol=0.01)
     np.testing.assert_allclose(picture[inner, inner, 1], green[inner, inner], atol=0.01)
 
@@ -55,16 +55,16 @@ def test_colors_are_interpolated_linearly_over_a_triangle():
 @pytest.mark.parametrize("supersampling", [1, 2, 3, 4])
 def test_edge_pixel_holds_the_covered_share(supersampling):
     # The wall covers everything left of the middle of pixel column 16.
-    wall = _quad([(-30, 1, -30), (1 / 32, 1, -30), (1 / 32, 1, 30), (-30, 1, 30)], (0.6, 0.6, 0.6))
+    wall = _quad([(-30, 1, -30), (1 / 32, 1, -30), (1 / 32, 1, 30), (-30, 1, 30)], (0.4, 0.4, 0.4))
     viewer = Viewer(_scene(wall, background=np.zeros(3)))
     row = _linear(viewer.picture(_camera(), 32, 32, 1.0, supersampling))[16, :, 0]
-    np.testing.assert_allclose(row[:15], 0.6, atol=0.01)
+    np.testing.assert_allclose(row[:15], 0.4, atol=0.01)
     np.testing.assert_allclose(row[18:], 0, atol=0.01)
     if supersampling == 1:
-        assert row[16] in (pytest.approx(0.6, abs=0.01), pytest.approx(0, abs=0.01))
+        assert row[16] in (pytest.approx(0.4, abs=0.01), pytest.approx(0, abs=0.01))
     else:
         # The filter is symmetric about the pixel's middle. An odd grid has a column of rays on the very edge.
-        assert row[16] == pytest.approx(0.3, abs=0.01 + 0.3 * (supersampling % 2) / supersampling)
+        assert row[16] == pytest.approx(0.2, abs=0.01 + 0.2 * (supersampling % 2) / supersampling)
 
 
 def test_nearer_surface_hides_the_farther_one_and_planes_clip():
@@ -122,6 +122,26 @@ def test_what_is_not_light_is_not_exposed():
     scene = _scene(_wall(2.0, colors=(0.2, 0.2, 0.2)), is_light=False)
     picture = Viewer(scene).picture(_camera(), 20, 20, exposure=3.0)
     assert np.abs(picture.astype(float) - 255 * linear_to_srgb(0.2)).max() <= 1
+
+
+def test_sky_is_seen_in_its_direction():
+    # Radiance linear in height: means over cells of equal height are the values at their middles, and interpolation
+    # between these gives the function back, but for half a cell at the poles.
+    rows, columns = 8, 16
+    z = (np.arange(rows) + 0.5) / rows * 2 - 1
+    azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
+    sky = np.zeros((rows, columns, 3))
+    sky[..., 0] = 0.2 + 0.2 * z[:, None]
+    sky[..., 1] = 0.2 + 0.2 * np.cos(azimuth)
+    # The quad lies behind the camera.
+    viewer = Viewer(_scene(_wall(-5.0, half=1.0), background=sky))
+    x, y = np.array([-0.9, 0.0, 0.5, 1.0]), np.array([0.3, 0.0, -0.8, 0.5])
+    colors, is_light = viewer.colors(_camera(), x, y)
+    directions = np.column_stack([x, np.ones(4), y])
+    np.testing.assert_allclose(colors[:, 0], 0.2 + 0.2 * y / np.linalg.norm(directions, axis=1), rtol=1e-6)
+    # A chord of the cosine over a cell of 22.5 degrees is off by at most 1 - cos(11.25 degrees) of its amplitude.
+    np.testing.assert_allclose(colors[:, 1], 0.2 + 0.2 * x / np.hypot(x, 1), atol=0.2 * (1 - np.cos(np.pi / 16)))
+    assert not is_light.any()
 
 
 def test_lamp_edge_is_no_staircase():

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..visibility.embree import OFFSET
 from .area import AreaLight
 
-#: Emitters of one look that cover more of all surfaces than this are left to the hemispheres: every receiver then has
-#: dozens of its rays on them.
+#: Emitters of one look that cover more of all surfaces, or of the box around them if that is more, than this are left
+#: to the hemispheres: every receiver then has dozens of its rays on them.
 WIDE_SHARE = 0.4
 
 #: Emitters that give less than this part of all emitted power are left to the hemispheres too: their noise is small
 #: against what lights the scene.
 FAINT_SHARE = 1e-3
+
+#: Corners of a quad lie this close to their mean plane, in unit lengths, for its two triangles to be one light.
+FLATNESS = 0.1 * OFFSET
 
 
 def area_lights(
@@ -47,7 +51,10 @@ def area_lights(
         return [], sampled
     corners = np.asarray(vertices, dtype=float)[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    total = areas.sum()
+    sides = np.ptp(np.asarray(vertices, dtype=float)[triangles.ravel()], axis=0)
+    # Two plates far from each other are all surfaces there are, and yet hardly a ray of one meets the other: compare
+    # with the box around the scene as well, which no ray leaves unseen.
+    total = max(areas.sum(), 2 * (sides * np.roll(sides, 1)).sum())
     _, looks = np.unique(emission[emitting], axis=0, return_inverse=True)
     looks = looks.reshape(-1)
     power = areas[emitting] * emission[emitting].max(axis=1) * np.where(two_sided[emitting], 2, 1)
@@ -99,6 +106,8 @@ def _is_flat_and_convex(quad: np.ndarray) -> bool:
     length = np.linalg.norm(mean)
     if length <= 0:
         return False
-    # All corners turn the same way, and their normals agree to a tenth of a degree.
-    along = turns @ (mean / length)
-    return bool((along > 0).all() and (along >= 0.9999985 * np.linalg.norm(turns, axis=1)).all())
+    # All corners turn the same way, and none leaves the mean plane by as much as receivers are lifted: those on a bent
+    # face would lie behind its mean plane, and see all of its back.
+    normal = mean / length
+    heights = (quad - quad.mean(axis=0)) @ normal
+    return bool((turns @ normal > 0).all() and (np.abs(heights) < FLATNESS).all())

@@ -64,11 +64,13 @@ def disk_scouts() -> np.ndarray:
     return np.array([[0, 0], [RIM, 0], [0, RIM], [-RIM, 0], [0, -RIM]])
 
 
-def polygon_scouts(vertices: np.ndarray) -> np.ndarray:
-    """(s, 3) the middle of a convex polygon (k, 3) and its corners, four of them where it has more."""
+def polygon_scouts(vertices: np.ndarray, within: int = 0) -> np.ndarray:
+    """(s, 3) the middle of a convex polygon (k, 3) and its corners, four of them where it has more, and `within` places
+    spread over it."""
     middle = vertices.mean(axis=0)
     corners = vertices if len(vertices) <= 4 else vertices[(np.arange(4) * len(vertices)) // 4]
-    return np.concatenate([middle[None], middle + RIM * (corners - middle)])
+    places = np.concatenate([middle[None], middle + RIM * (corners - middle)])
+    return np.concatenate([places, polygon(vertices, within)]) if within else places
 
 
 def facing_disks(directions: np.ndarray, pattern: np.ndarray) -> np.ndarray:

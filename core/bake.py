@@ -16,6 +16,7 @@ import numpy as np
 
 from .bake_plan import BakePlan, foreseen_memory, plan_for
 from .baked_mesh import BakedMesh
+from .burial import unbury
 from .cleaning import clean
 from .direct_light import direct_light
 from .discretization.merging import merge_coplanar
@@ -23,7 +24,6 @@ from .discretization.patches import POINTS, Patches, build_patches, probe_segmen
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .gathering import HitTable, gather
 from .indirect_light import indirect_light, uncut_edges
-from .interpolation import fill_from_neighbors
 from .keys import row_keys
 from .lights.emissive import area_lights
 from .patch_checks import check_patches
@@ -35,9 +35,6 @@ from .receivers import build_receivers
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
 from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
-
-#: Rings of buried receivers that are filled from their neighbors. Deeper ones lie where nobody sees them.
-FILL_RINGS = 64
 
 #: Cells to which something stands nearer than this many of their sides are split: light changes over that distance.
 NEAR = 1.0
@@ -142,11 +139,14 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
         with clock.stage("fill"):
             light = np.concatenate([direct, indirect.irradiance], axis=1)
-            light, _ = fill_from_neighbors(light, ~indirect.buried, receivers.edges, FILL_RINGS)
-        yield Progress(0.95, "Estimating the error")
+            work = unbury(
+                solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
+            )
+            light, filled_rays = yield from _told(work, 0.95, 0.97, "Buried vertices")
+        yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
             error, probe_rays = probe_error(solution, receivers, light, indirect.buried, plan, settings.seed)
-    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays
+    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
     statistics = _statistics(scene, model, receivers, solution, indirect, rays, error, clock)
     meshes = [
         BakedMesh(mesh, corners, light[:, :3], light[:, 3:], indirect.buried)

@@ -47,6 +47,8 @@ class Receivers:
         Receiver of every corner of each mesh; -1 where the position or normal is not finite.
     borders : (r,) bool
         On the border of a smooth group.
+    inward : (r, 3) float32
+        From each receiver to the middle of the faces around it, along the surface; near 0 within a regular mesh.
     """
 
     points: np.ndarray
@@ -55,6 +57,7 @@ class Receivers:
     edges: np.ndarray
     corner_receivers: list[np.ndarray]
     borders: np.ndarray
+    inward: np.ndarray
 
     def __len__(self) -> int:
         return len(self.points)
@@ -140,7 +143,7 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
         base += len(leaders)
     if not base:
         empty = np.empty((0, 3), np.float32)
-        return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool))
+        return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool), empty)
     return _welded(
         np.concatenate(points),
         np.concatenate(normals),
@@ -185,4 +188,4 @@ def _welded(points, normals, inward, sizes, edges, groups) -> Receivers:
     step = np.minimum(np.maximum(INSET * reach, 4 * OFFSET), 0.5 * reach) * borders
     points = points + (step / np.maximum(reach, 1e-20))[:, None] * inward
     corner_receivers = [np.where(g >= 0, where[g], -1).astype(np.int32) if len(g) else g for g in groups]
-    return Receivers(points, normals, sizes, edges, corner_receivers, borders)
+    return Receivers(points, normals, sizes, edges, corner_receivers, borders, inward)

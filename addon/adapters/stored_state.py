@@ -22,12 +22,18 @@ def leave_edit_mode(context: bpy.types.Context) -> None:
     RadiosityError
         If Blender does not let one go; the text names it.
     """
-    for obj in context.view_layer.objects:
+    objects = context.view_layer.objects
+    active = objects.active
+    for obj in objects:
         # Leaving it for one object does so for all of its type that are edited together.
         if obj.mode != 'EDIT':
             continue
-        with context.temp_override(active_object=obj, object=obj):
+        # An override of the context is not enough: the mode is that of the view layer's active object.
+        objects.active = obj
+        try:
             left = bpy.ops.object.mode_set.poll() and 'FINISHED' in bpy.ops.object.mode_set(mode='OBJECT')
+        finally:
+            objects.active = active
         if not left or obj.mode == 'EDIT':
             raise RadiosityError(
                 f"{obj.name!r} cannot leave Edit Mode: open the file, switch to Object Mode and save it"

@@ -148,6 +148,88 @@ def test_stored_settings_hold_unless_an_option_replaces_them(tmp_path):
     assert (report["attribute_name"], report["accuracy"]) == ("Stored", 0.2)
 
 
+def select(*names):
+    for made in bpy.data.objects:
+        made.select_set(made.name in names)
+
+
+def selected():
+    return {made.name for made in bpy.data.objects if made.select_get()}
+
+
+def test_a_stored_selection_does_not_limit_the_bake_and_is_kept(tmp_path):
+    fill_scene()
+    select("Lamp")
+    room = save(tmp_path / "room.blend")
+    assert run(room, "--output", tmp_path / "lit.blend", "--quality", "draft") == 0
+    assert selected() == {"Lamp"}
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
+    assert set(colors()) == {"Room", "Lamp"}
+    assert selected() == {"Lamp"}
+
+
+def test_the_stored_selection_is_baked_when_asked_for(tmp_path, capfd):
+    fill_scene()
+    select("Lamp")
+    room = save(tmp_path / "room.blend")
+    assert run(room, "--output", tmp_path / "lit.blend", "--quality", "draft", "--selected") == 0
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
+    assert set(colors()) == {"Lamp"}
+    select()
+    save(room)
+    capfd.readouterr()
+    assert run(room, "--output", tmp_path / "none.blend", "--selected") == 1
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "No mesh is selected" in line and "--selected" in line
+    assert not (tmp_path / "none.blend").exists()
+
+
+def test_a_selection_outlives_a_bake_that_fails(tmp_path):
+    fill_scene(emission=0.0)
+    select("Lamp")
+    assert run("--report", tmp_path / "a.json", opened=tmp_path / "open.blend") == 1
+    assert selected() == {"Lamp"}
+
+
+def test_a_file_saved_in_edit_mode_is_baked(tmp_path):
+    fill_scene()
+    for name in ("Room", "Lamp"):
+        bpy.data.objects[name].select_set(True)
+    bpy.context.view_layer.objects.active = bpy.data.objects["Lamp"]
+    bpy.ops.object.mode_set(mode='EDIT')  # of both
+    assert bpy.data.objects["Room"].mode == 'EDIT'
+    room = save(tmp_path / "room.blend")
+    assert run(room, "--output", tmp_path / "lit.blend", "--quality", "draft") == 0
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
+    assert set(colors()) == {"Room", "Lamp"}
+    assert {made.mode for made in bpy.data.objects} == {'OBJECT'}
+
+
+def test_edit_mode_is_left_by_an_object_that_is_not_active(tmp_path):
+    fill_scene()
+    room = bpy.data.objects["Room"]
+    bpy.context.view_layer.objects.active = room
+    bpy.ops.object.mode_set(mode='EDIT')
+    bpy.context.view_layer.objects.active = bpy.data.objects["Lamp"]
+    assert run("--report", tmp_path / "a.json", "--quality", "draft", opened=tmp_path / "open.blend") == 0
+    assert room.mode == 'OBJECT'
+    assert set(colors()) == {"Room", "Lamp"}
+
+
+def test_names_with_spaces_and_umlauts(tmp_path, capfd):
+    fill_scene()
+    folder = tmp_path / "Grüße aus Köln"
+    folder.mkdir()
+    room = save(folder / "mein Zimmer ß.blend")
+    results = [folder / f"fertig ä{suffix}" for suffix in (".blend", ".json", ".png")]
+    options = [item for pair in zip(("--output", "--report", "--image"), results, strict=True) for item in pair]
+    assert run(room, *options, "--quality", "draft", "--attribute", "Wärme 1") == 0
+    assert all(result.is_file() for result in results)
+    assert "mein Zimmer ß.blend" in capfd.readouterr().out
+    bpy.ops.wm.open_mainfile(filepath=str(results[0]))
+    assert set(colors("Wärme 1")) == {"Room", "Lamp"}
+
+
 def test_the_open_file_is_baked_when_none_is_named(room, tmp_path, capfd):
     assert run("--report", tmp_path / "a.json", opened=room) == 0
     assert capfd.readouterr().out.startswith(f"{room}: baked")

@@ -23,7 +23,7 @@ STEPS = (0.02, 0.1, 0.3, 0.6)
 
 #: A vertex behind a wall is given the light before it when its own is less than this part of that: what lies behind is
 #: then not a room, but the outside that nobody sees.
-DIM = 0.02
+DIM = 0.05
 
 #: Surfaces looked through on the way inward: the two sides of a wall and of what leans on it.
 MAX_WALLS = 4

@@ -49,6 +49,17 @@ assert bpy.ops.radiosity.bake() == {'FINISHED'}
 bpy.ops.wm.save_as_mainfile(filepath=sys.argv[-1], copy=True)
 """
 
+# One object selected and in Edit Mode, as people leave files.
+LEAVE_IN_EDIT_MODE = """
+import bpy, sys
+objects = [obj for obj in bpy.context.view_layer.objects if obj.type == 'MESH']
+for obj in objects:
+    obj.select_set(obj is objects[0])
+bpy.context.view_layer.objects.active = objects[0]
+bpy.ops.object.mode_set(mode='EDIT')
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[-1], copy=True)
+"""
+
 
 class TestError(Exception):
     """A check failed; the text is one line."""
@@ -199,6 +210,23 @@ def _compare(colors: dict, report: dict, module_report: dict) -> None:
         raise TestError(f"the program and the module differ by {error:.1%}, more than both errors allow")
 
 
+def bake_as_left(blender: RealBlender) -> None:
+    """A file that was saved in Edit Mode with one mesh selected is baked whole."""
+    out = blender.scratch / "out"
+    example, left = ROOT / "examples" / "cornell_box.blend", out / "left in edit mode.blend"
+    blender.must(
+        "leave in Edit Mode", "-b", example, "--python-exit-code", 1, "--python-expr", LEAVE_IN_EDIT_MODE, "--", left
+    )
+    reports = {}
+    for name, options in (("all", ()), ("selected", ("--selected",))):
+        report = out / f"{name}.json"
+        arguments = ("--command", "radiosity", "bake", "--report", report, "--quality", "draft", *options)
+        blender.must(f"bake {name} of a file in Edit Mode", "-b", left, *arguments)
+        reports[name] = json.loads(report.read_text(encoding="utf-8"))["scene"]["baked_objects"]
+    if reports["selected"] != 1 or reports["all"] < 2:
+        raise TestError(f"a file left in Edit Mode: baked {reports} objects")
+
+
 def run_suite(blender: RealBlender, arguments: list[str]) -> None:
     """All tests inside the program, on the checkout, with embreex and the test packages beside Blender's Python."""
     packages = blender.scratch / "packages"
@@ -268,6 +296,7 @@ def main() -> int:
             return 1
         for check, arguments in (
             (bake, (pictures,)),
+            (bake_as_left, ()),
             (run_suite, (sys.argv[1:],)),
             (run_window_tests, (package, pictures)),
         ):

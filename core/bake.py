@@ -189,10 +189,9 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     source, triangles = merged.source, merged.triangles
     two_sided = surfaces.two_sided[source]
     lamps = [light.in_frame(frame.center, frame.size) for light in scene.lights if np.any(light.power > 0)]
-    lamp_power = sum(float(light.power.max()) for light in scene.lights)
-    shining, sampled = area_lights(
-        merged.vertices, triangles, surfaces.emission[source], two_sided, lamp_power / frame.size**2
-    )
+    # In the unit frame, where a sun's flux is that through one unit of area whatever the scene's size.
+    lamp_power = sum(float(light.power.max()) for light in lamps)
+    shining, sampled = area_lights(merged.vertices, triangles, surfaces.emission[source], two_sided, lamp_power)
     tracer = Tracer.build(merged.vertices.astype(np.float32), triangles, surfaces.transmittance[source])
     patches = build_patches(merged.vertices, triangles, looks[source], plan.patches)
     cells, starts, segments = probe_segments(patches, merged.vertices, triangles)

@@ -138,7 +138,7 @@ def _choose_size(areas: np.ndarray, longest: np.ndarray, target: int) -> tuple[f
 
     No triangle gets more than a tenth of them: a ground plane around a house must not take the cells away from it.
     """
-    most = min(max(2.0, np.sqrt(target / 10)), MAX_DIVISIONS)
+    most = float(min(max(2, int(np.sqrt(target / 10))), MAX_DIVISIONS))
     high = np.sqrt(areas.sum() / max(target, 1))
     low = high / 1024
     divisions = _divisions(areas, longest, high, most)

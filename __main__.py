@@ -1,6 +1,7 @@
 """`python -m radiosity`: the command line with Blender's Python module."""
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,8 +20,21 @@ def registered() -> Iterator[None]:
         unregister()
 
 
+def open_standard_streams() -> None:
+    """Give a process that was started without input, output or error streams empty ones in their place."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free, which is this
+            setattr(sys, name, open(descriptor, "w" if descriptor else "r", encoding="utf-8", closefd=False))
+
+
 def run() -> None:
     """End the process with the command's exit status."""
+    open_standard_streams()
+    # An exception in the middle of bpy's import crashes it. Until the bake takes over, Ctrl-C just ends the process.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     status = main(sys.argv[1:], session=registered())
     sys.stdout.flush()
     sys.stderr.flush()

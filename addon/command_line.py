@@ -218,6 +218,9 @@ def main(
         except KeyboardInterrupt:
             sys.stderr.write("radiosity: stopped; what was not finished was not written\n")
             return INTERRUPTED
+        except BrokenPipeError:  # nobody reads progress and errors any more
+            _discard(sys.stderr)
+            return FAILED
 
 
 def _check(given: dict[str, object]) -> None:
@@ -234,8 +237,7 @@ def _run(tasks: list[Task], given: dict[str, object], arguments: argparse.Namesp
     for task in tasks:
         label = str(task.source or "the open file")
         try:
-            stream.write(f"{_bake(task, given, arguments.enable_scripts, arguments.selected)}\n")
-            stream.flush()
+            _tell(stream, _bake(task, given, arguments.enable_scripts, arguments.selected))
         except (RadiosityError, OSError) as error:
             failed.append(label)
             sys.stderr.write(f"radiosity: error: {_one_line(label, error)}\n")
@@ -243,6 +245,22 @@ def _run(tasks: list[Task], given: dict[str, object], arguments: argparse.Namesp
     if failed and len(tasks) > 1:
         sys.stderr.write(f"radiosity: {len(failed)} of {len(tasks)} files failed: {', '.join(failed)}\n")
     return FAILED if failed else DONE
+
+
+def _tell(stream, line: str) -> None:
+    """Write a result line; that its reader has left, as `head` does, is no reason to stop baking."""
+    try:
+        stream.write(f"{line}\n")
+        stream.flush()
+    except BrokenPipeError:
+        _discard(stream)
+
+
+def _discard(stream) -> None:
+    """Lead a stream to nowhere, with what it still holds."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def _one_line(label: str, message: Exception | str) -> str:

@@ -425,6 +425,33 @@ def test_python_dash_m_keeps_standard_output_clean(room, tmp_path):
     assert refused.returncode == 2
 
 
+@needs_own_process
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals between processes")
+@pytest.mark.parametrize("seconds", [0.2, 0.5, 1.0])
+def test_ctrl_c_before_the_bake_ends_the_process_without_a_trace(seconds, room, tmp_path):
+    command = [sys.executable, "-m", "radiosity", "bake", str(room), "--accuracy", "0.002", "--report", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(seconds)
+    process.send_signal(signal.SIGINT)
+    said = "".join(process.communicate())
+    # Ended by the signal while Blender is loaded, by the command itself from then on.
+    assert process.returncode in (-signal.SIGINT, 130)
+    assert "Traceback" not in said
+    assert files(tmp_path) == ["in/room.blend"]
+
+
+@needs_own_process
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other pipes")
+def test_a_reader_that_left_and_streams_that_are_closed_do_not_stop_a_bake(room, tmp_path):
+    bake = f'{sys.executable} -m radiosity bake "{room}" --quality draft --report "{tmp_path}/%s.json"'
+    for name, redirection in (("left", "| true; exit ${PIPESTATUS[0]}"), ("closed", "<&- >&- 2>&-")):
+        command = ["bash", "-c", f"{bake % name} {redirection}"]
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+        assert (tmp_path / f"{name}.json").is_file()
+
+
 def test_files_appear_together_or_not_at_all(tmp_path):
     first, second = tmp_path / "new" / "a.txt", tmp_path / "new" / "b.txt"
     seen = []

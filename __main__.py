@@ -6,13 +6,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from . import register, unregister
-from .addon.command_line import main
-
 
 @contextmanager
 def registered() -> Iterator[None]:
     """The add-on is registered within; a class left behind can stop Python from ending."""
+    from . import register, unregister
+
     register()
     try:
         yield
@@ -33,8 +32,11 @@ def open_standard_streams() -> None:
 def run() -> None:
     """End the process with the command's exit status."""
     open_standard_streams()
-    # An exception in the middle of bpy's import crashes it. Until the bake takes over, Ctrl-C just ends the process.
+    # An exception in the middle of an import leaves a trace, and in bpy's a crash. Until the bake takes over, Ctrl-C
+    # just ends the process.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from .addon.command_line import main
+
     status = main(sys.argv[1:], session=registered())
     sys.stdout.flush()
     sys.stderr.flush()

@@ -427,7 +427,7 @@ def test_python_dash_m_keeps_standard_output_clean(room, tmp_path):
 
 @needs_own_process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals between processes")
-@pytest.mark.parametrize("seconds", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("seconds", [0.5, 1.0])
 def test_ctrl_c_before_the_bake_ends_the_process_without_a_trace(seconds, room, tmp_path):
     command = [sys.executable, "-m", "radiosity", "bake", str(room), "--accuracy", "0.002", "--report", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

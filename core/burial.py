@@ -58,7 +58,9 @@ def unbury(
         known[left[free]] = True
         spent += cost
         left = left[~free]
-    behind, steps = _behind_walls(solution, receivers, np.nonzero(known & receivers.borders)[0])
+    level = light.sum(axis=1)
+    dim = known & receivers.borders & (level < DIM * level.mean())
+    behind, steps = _behind_walls(solution, receivers, np.nonzero(dim)[0])
     if len(behind):
         work = _look_again(solution, receivers, behind, steps, rays, penumbra_rays, seed)
         found, free, cost = yield from shared_progress(work, 0.5, 1.0)

@@ -17,7 +17,7 @@ import numpy as np
 from .bake_plan import BakePlan, foreseen_memory, plan_for
 from .baked_mesh import BakedMesh
 from .burial import unbury
-from .cleaning import clean
+from .cleaning import clean, compacted
 from .direct_light import direct_light
 from .discretization.merging import merge_coplanar
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
@@ -186,21 +186,22 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     vertices = (np.asarray(surfaces.vertices, dtype=np.float64) - frame.center) / frame.size
     looks = _looks(surfaces)
     merged = merge_coplanar(vertices, surfaces.triangles, looks)
-    source, triangles = merged.source, merged.triangles
+    source = merged.source
+    corners, triangles = compacted(merged.vertices, merged.triangles)
     two_sided = surfaces.two_sided[source]
     lamps = [light.in_frame(frame.center, frame.size) for light in scene.lights if np.any(light.power > 0)]
     # In the unit frame, where a sun's flux is that through one unit of area whatever the scene's size.
     lamp_power = sum(float(light.power.max()) for light in lamps)
-    shining, sampled = area_lights(merged.vertices, triangles, surfaces.emission[source], two_sided, lamp_power)
-    tracer = Tracer.build(merged.vertices.astype(np.float32), triangles, surfaces.transmittance[source])
-    patches = build_patches(merged.vertices, triangles, looks[source], plan.patches)
-    cells, starts, segments = probe_segments(patches, merged.vertices, triangles)
+    shining, sampled = area_lights(corners, triangles, surfaces.emission[source], two_sided, lamp_power)
+    tracer = Tracer.build(corners.astype(np.float32), triangles, surfaces.transmittance[source])
+    patches = build_patches(corners, triangles, looks[source], plan.patches)
+    cells, starts, segments = probe_segments(patches, corners, triangles)
     crossed = _crossed(tracer, starts, segments, pool)
     nearness = _nearness(tracer, patches, cells, pool)
     urgent = np.lexsort((nearness, ~crossed))
     urgent = urgent[crossed[urgent] | (nearness[urgent] < NEAR)]
-    patches = split_cells(patches, merged.vertices, triangles, cells[urgent], plan.patches)
-    reflectance, emission = patch_colors(patches, merged.vertices, triangles, surfaces, source, rows, sampled, vertices)
+    patches = split_cells(patches, corners, triangles, cells[urgent], plan.patches)
+    reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled, vertices)
     return _Model(
         frame=frame,
         tracer=tracer,

@@ -18,6 +18,9 @@ DEGENERATE = 1e-7
 #: Names listed in one warning before the rest is counted.
 MAX_NAMES = 5
 
+#: Triangles judged at a time.
+BLOCK = 65536
+
 
 @dataclass(frozen=True)
 class CleanSurfaces:
@@ -44,28 +47,23 @@ def clean(surfaces: Surfaces) -> CleanSurfaces:
         May hold no triangle at all.
     """
     warnings = []
-    corners = np.asarray(surfaces.vertices, dtype=np.float64)[surfaces.triangles]
-    finite = np.isfinite(corners).all(axis=(1, 2))
+    finite, flat = _judge(np.asarray(surfaces.vertices, dtype=np.float64), surfaces.triangles)
     if not finite.all():
         warnings.append(
             f"{int((~finite).sum())} triangles with vertices that are not numbers were left out: "
             f"{named(~finite, surfaces)}. Delete those vertices"
         )
-    with np.errstate(invalid="ignore", over="ignore"):
-        one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        double = np.linalg.norm(np.cross(one, other), axis=1)
-        longest = np.maximum.reduce([(e * e).sum(axis=1) for e in (one, other, other - one)])
-        flat = finite & ~(double > 2 * DEGENERATE * longest)
     if flat.any():
         warnings.append(
             f"{int(flat.sum())} triangles without area were left out: {named(flat, surfaces)}. "
             "Merge by Distance removes them"
         )
-    rows = np.nonzero(finite & ~flat)[0]
-    reflectance = np.asarray(surfaces.reflectance, dtype=np.float64)[rows]
-    emission = np.asarray(surfaces.emission, dtype=np.float64)[rows]
-    transmittance = np.asarray(surfaces.transmittance, dtype=np.float64)[rows]
-    vertices, triangles = _compact(surfaces.vertices, surfaces.triangles[rows])
+    usable = finite & ~flat
+    # Nothing is copied where nothing is left out: a million triangles carry a hundred megabytes.
+    rows = slice(None) if usable.all() else np.nonzero(usable)[0]
+    reflectance, emission = surfaces.reflectance[rows], surfaces.emission[rows]
+    transmittance = surfaces.transmittance[rows]
+    vertices, triangles = compacted(surfaces.vertices, surfaces.triangles[rows])
     kept = replace(
         surfaces,
         vertices=vertices,
@@ -85,10 +83,30 @@ def clean(surfaces: Surfaces) -> CleanSurfaces:
         emission=clamped_emission(emission),
         transmittance=np.clip(np.nan_to_num(transmittance), 0, 1),
     )
-    return CleanSurfaces(kept, rows, warnings)
+    return CleanSurfaces(kept, np.arange(len(usable))[rows], warnings)
 
 
-def _compact(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _judge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which triangles (m,) are finite, and which of those have no area, in blocks of bounded memory."""
+    finite, flat = np.empty(len(triangles), bool), np.empty(len(triangles), bool)
+    for start in range(0, len(triangles), BLOCK):
+        part = slice(start, start + BLOCK)
+        a, b, c = (vertices[triangles[part, k]] for k in range(3))
+        with np.errstate(invalid="ignore", over="ignore"):
+            one, other = b - a, c - a
+            finite[part] = np.isfinite(one + other).all(axis=1) & np.isfinite(a).all(axis=1)
+            dots = [np.einsum("ij,ij->i", x, y) for x, y in ((one, one), (other, other), (one, other))]
+            # Lagrange: the square of the doubled area. It loses half the digits, so what it calls thin is done again.
+            double2 = dots[0] * dots[1] - dots[2] ** 2
+            longest = np.maximum.reduce([dots[0], dots[1], dots[0] + dots[1] - 2 * dots[2]])
+            flat[part] = ~(double2 > 1e-12 * longest**2)
+            doubt = np.nonzero(flat[part])[0]
+            double = np.linalg.norm(np.cross(one[doubt], other[doubt]), axis=1)
+            flat[start + doubt] = ~(double > 2 * DEGENERATE * longest[doubt])
+    return finite, finite & flat
+
+
+def compacted(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Only the vertices that triangles use: the rest may be anywhere, or nowhere."""
     used = np.zeros(len(vertices), bool)
     used[triangles.ravel()] = True

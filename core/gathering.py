@@ -26,6 +26,7 @@ VARIANTS = 16
 GRAZING = 1e-4
 
 _GOLDEN = 0.6180339887498949
+_SILVER = 0.4142135623730950
 
 
 def hemisphere_directions(count: int, variants: int = VARIANTS) -> np.ndarray:
@@ -187,8 +188,9 @@ def gather(
         origins = np.repeat(starts[start:stop], rays, axis=0)
         luck = None
         if translucent:
-            # One number per direction, spread evenly over each receiver's own set.
-            luck = ((np.arange(rays) * _GOLDEN)[None] + turns[start:stop, None] / (2 * np.pi)) % 1.0
+            # One number per direction, spread evenly over each receiver's own set, and over every part of it: the
+            # golden ratio would tie it to the azimuth, and a veil would be open on one side and shut on the other.
+            luck = ((np.arange(rays) * _SILVER)[None] + turns[start:stop, None] / (2 * np.pi)) % 1.0
             luck = luck.astype(np.float32).ravel()
         hits = tracer.closest(origins, directions, luck)
         rows[start:stop] = hits_to_rows.look_up(hits, directions).reshape(-1, rays)

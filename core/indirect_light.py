@@ -139,14 +139,7 @@ def indirect_light(
     values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
     finest = levels[-1]
     irradiance, found = interpolate(
-        receivers.points,
-        receivers.normals,
-        np.arange(count),
-        _candidates(finest, finest.clusters),
-        finest.nodes,
-        values,
-        valid,
-        finest.spacing,
+        receivers.points, receivers.normals, np.arange(count), finest.clusters, finest, values, valid, solution.pool
     )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
     buried = ~(found & valid[finest.clusters])
@@ -163,10 +156,6 @@ def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> 
     scale = np.maximum(own, 0.5 * own.mean(axis=0))
     apart = (np.abs(irradiance[traced] - own) > tolerance * scale).any(axis=1)
     irradiance[traced[apart]] = own[apart]
-
-
-def _candidates(level: NodeLevel, clusters: np.ndarray) -> np.ndarray:
-    return np.concatenate([clusters[:, None], level.neighbors[clusters]], axis=1)
 
 
 def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSettings, deadline: float):
@@ -186,11 +175,11 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
             receivers.points,
             receivers.normals,
             finer.nodes,
-            _candidates(level, parents),
-            level.nodes,
+            parents,
+            level,
             values,
             valid,
-            level.spacing,
+            gatherer.solution.pool,
         )
         is_late = time.perf_counter() > deadline
         chosen = finer.nodes[(wanted[parents] & (not is_late)) | ~found]

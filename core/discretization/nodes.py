@@ -18,7 +18,7 @@ from ..keys import row_keys, unique_pairs
 NORMAL_STEPS = 1.5
 
 #: Neighboring clusters that are remembered for each.
-MAX_NEIGHBORS = 10
+MAX_NEIGHBORS = 8
 
 
 @dataclass(frozen=True)

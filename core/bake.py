@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
@@ -112,6 +112,10 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     with RayPool(settings.threads) as pool:
         with clock.stage("trace mesh"):
             model = _build_model(cleaned.surfaces, cleaned.rows, scene, plan, pool)
+        # The model is all that rays need: let go of the surfaces, by far the largest of what was read.
+        warnings, triangles = [*scene.warnings, *cleaned.warnings], len(scene.surfaces.triangles)
+        scene = replace(scene, surfaces=None)
+        del cleaned
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
             receivers = build_receivers(scene.receivers, model.frame)
@@ -147,12 +151,12 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         with clock.stage("estimate"):
             error, probe_rays = probe_error(solution, receivers, light, indirect.buried, plan, settings.seed)
     rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
-    statistics = _statistics(scene, model, receivers, solution, indirect, rays, error, clock)
+    statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
     meshes = [
         BakedMesh(mesh, corners, light[:, :3], light[:, 3:], indirect.buried)
         for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True)
     ]
-    warnings = [*scene.warnings, *cleaned.warnings, *_receiver_warnings(meshes)]
+    warnings += _receiver_warnings(meshes)
     if indirect.is_cut_short:
         warnings.append(
             f"The time limit of {settings.time_limit:g} s ended refinement early: the estimated error is {error:.1%}"
@@ -282,10 +286,10 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
     return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
 
 
-def _statistics(scene, model, receivers, solution, indirect, rays, error, clock) -> dict:
+def _statistics(triangles, model, receivers, solution, indirect, rays, error, clock) -> dict:
     checks = check_patches(solution)
     return {
-        "triangles": len(scene.surfaces.triangles),
+        "triangles": triangles,
         "traced_triangles": len(model.black_back),
         "patches": int((model.patches.areas > 0).sum()),
         "elements": len(receivers),

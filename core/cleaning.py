@@ -117,11 +117,15 @@ def compacted(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, 
 
 def clamped_reflectance(values: np.ndarray) -> np.ndarray:
     """Reflectance within [0, MAX_REFLECTANCE]; what is not a number reflects nothing."""
+    if not values.size or (values.min() >= 0 and values.max() <= MAX_REFLECTANCE):
+        return values
     return np.clip(np.nan_to_num(values, nan=0.0, posinf=1.0, neginf=0.0), 0, MAX_REFLECTANCE)
 
 
 def clamped_emission(values: np.ndarray) -> np.ndarray:
     """Emission of at least 0; what is not a finite number emits nothing."""
+    if not values.size or (values.min() >= 0 and values.max() < np.inf):
+        return values
     return np.maximum(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), 0)
 
 

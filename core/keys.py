@@ -20,6 +20,12 @@ def row_keys(*columns: np.ndarray) -> np.ndarray:
 
 def unique_pairs(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     """Undirected pairs (e, 2) int32 of different numbers below `count`, each once, the lower number first, sorted."""
-    low, high = np.minimum(one, other).astype(np.int64), np.maximum(one, other)
-    keys = np.unique((low * count + high)[low != high])
+    apart = one != other
+    keys = np.minimum(one, other)[apart].astype(np.int64)
+    keys *= count
+    keys += np.maximum(one, other)[apart]
+    keys.sort()
+    first = np.ones(len(keys), bool)
+    np.not_equal(keys[1:], keys[:-1], out=first[1:])
+    keys = keys[first]
     return np.stack([keys // count, keys % count], axis=1).astype(np.int32)

@@ -87,21 +87,29 @@ def _vertex_groups(mesh: ReceiverMesh) -> tuple[np.ndarray, np.ndarray]:
     return rank[group], leaders
 
 
-def _face_centers(mesh: ReceiverMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the corners of each face (f, 3), and the face of each corner (c,)."""
+def _arms(mesh: ReceiverMesh, place: np.ndarray) -> np.ndarray:
+    """From each corner to the middle of its face (c, 3) float32; 0 where the face has a broken corner."""
     lengths = np.diff(mesh.face_offsets)
-    faces = np.repeat(np.arange(len(lengths), dtype=np.int32), lengths)
-    positions = mesh.positions[mesh.corner_vertices]
-    sums = np.add.reduceat(positions, mesh.face_offsets[:-1].astype(np.intp), axis=0)
-    return sums / lengths[:, None], faces
+    corners = place[mesh.corner_vertices]
+    middles = np.add.reduceat(corners, mesh.face_offsets[:-1].astype(np.intp), axis=0)
+    middles /= lengths[:, None].astype(np.float32)
+    np.subtract(np.repeat(middles, lengths, axis=0), corners, out=corners)
+    # A face with a broken corner has no middle; its sound corners are placed by their other faces.
+    broken = ~np.isfinite(middles).all(axis=1)
+    if broken.any():
+        corners[np.repeat(broken, lengths)] = 0
+    return corners
 
 
 def _sum_by(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    return np.stack([np.bincount(index, weights=values[:, k], minlength=count) for k in range(3)], axis=1)
+    sums = np.empty((count, 3), np.float32)
+    for axis in range(3):
+        sums[:, axis] = np.bincount(index, weights=values[:, axis], minlength=count)
+    return sums
 
 
 def _next_corners(mesh: ReceiverMesh) -> np.ndarray:
-    following = np.arange(1, len(mesh.corner_vertices) + 1)
+    following = np.arange(1, len(mesh.corner_vertices) + 1, dtype=np.int32)
     following[mesh.face_offsets[1:] - 1] = mesh.face_offsets[:-1]
     return following
 
@@ -126,17 +134,15 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
             groups.append(np.empty(0, np.int32))
             continue
         group, leaders = _vertex_groups(mesh)
-        centers, faces = _face_centers(mesh)
         place = frame.to_unit(mesh.positions)
-        arms = frame.to_unit(centers)[faces] - place[mesh.corner_vertices]
-        # A face with a broken corner has no middle; its sound corners are placed by their other faces.
-        arms[~np.isfinite(arms).all(axis=1)] = 0
+        arms = _arms(mesh, place)
         counts = np.bincount(group, minlength=len(leaders))
         points.append(place[mesh.corner_vertices[leaders]])
         normals.append(np.asarray(mesh.corner_normals[leaders], np.float32))
-        inward.append((_sum_by(group, arms, len(leaders)) / counts[:, None]).astype(np.float32))
+        inward.append(_sum_by(group, arms, len(leaders)) / counts[:, None].astype(np.float32))
         lengths = np.sqrt(np.einsum("ij,ij->i", arms, arms))
         sizes.append((np.bincount(group, weights=lengths, minlength=len(leaders)) / counts).astype(np.float32))
+        del arms, lengths
         neighbor = group[_next_corners(mesh)]
         edges.append(unique_pairs(group, neighbor, len(leaders)) + base)
         groups.append(group + base)
@@ -173,7 +179,7 @@ def _welded(points, normals, inward, sizes, edges, groups) -> Receivers:
 
     count = len(leaders)
     shares = np.bincount(where[finite], minlength=count)
-    inward = (_sum_by(where[finite], inward[finite], count) / shares[:, None]).astype(np.float32)
+    inward = _sum_by(where[finite], inward[finite], count) / shares[:, None].astype(np.float32)
     points, normals, sizes = points[leaders], normals[leaders], sizes[leaders]
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     if count < len(where):

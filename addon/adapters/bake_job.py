@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -92,7 +92,11 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     read_seconds = time.perf_counter() - start
     meter.sample()
 
-    result = yield from _scaled(bake_steps(reading.scene, options.settings), meter)
+    scene, reading = reading.scene, replace(reading, scene=None)
+    steps = bake_steps(scene, options.settings)
+    # The bake lets go of the surfaces when it has its own model of them, if nobody else holds them.
+    del scene
+    result = yield from _scaled(steps, meter)
 
     yield Progress(1.0 - _WRITE_SHARE, "Writing the colors")
     write_start = time.perf_counter()

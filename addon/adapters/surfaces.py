@@ -150,9 +150,12 @@ def build_surfaces(placements: Mapping[tuple, Placement]) -> Surfaces:
     }
     offsets = np.cumsum([0, *(len(part[0]) for part in parts)])[:-1]
     counts = [len(part[1]) for part in parts]
-    columns["triangles"] = (columns["triangles"] + np.repeat(offsets, counts)[:, None]).astype(np.int32)
+    columns["triangles"] += np.repeat(offsets, counts)[:, None].astype(np.int32)
     for name, table in wear.values().items():
-        columns[name] = table[columns["materials"]]
+        # A million triangles: float32 halves what they take, and a color has no more digits than that.
+        columns[name] = np.asarray(table).astype(np.float32 if table.dtype == np.float64 else table.dtype)[
+            columns["materials"]
+        ]
     looks, rows = columns.pop("looks"), columns.pop("rows")
     shader = pools.finish(looks, rows, columns)
     return Surfaces(object_names=tuple(names), textured=looks >= 0, shader=shader, **columns)
@@ -161,7 +164,7 @@ def build_surfaces(placements: Mapping[tuple, Placement]) -> Surfaces:
 #: What `_part` gives: shape of a row and type.
 _COLUMNS = {
     "vertices": ((3,), np.float64),
-    "triangles": ((3,), np.int64),
+    "triangles": ((3,), np.int32),
     "materials": ((), np.int32),
     "objects": ((), np.int32),
     "looks": ((), np.int32),
@@ -184,12 +187,12 @@ def _part(placement: Placement, index: int, wear: _Wear, pools: _Pools, names: d
             attributes = {key: placement.attributes[key][corners[inside]] for key in look.attributes}
             programs[slot], start = pools.add(look, attributes)
             rows[inside] = start + np.arange(len(inside))
-    starts = np.arange(count, dtype=np.int64) * len(arrays.positions)
+    starts = np.arange(count, dtype=np.int32) * np.int32(len(arrays.positions))
     objects = np.array([names.setdefault(name, len(names)) for name in placement.names], dtype=np.int32)
     worn = np.array([wear.row(look, index) for look in looks], dtype=np.int32)
     return (
         transform_points(arrays.positions, matrices).reshape(-1, 3),
-        (arrays.corner_vertices[corners] + starts[:, None, None]).reshape(-1, 3),
+        (arrays.corner_vertices[corners].astype(np.int32) + starts[:, None, None]).reshape(-1, 3),
         np.tile(worn[slots], count),
         np.repeat(objects, len(corners)),
         np.tile(programs[slots], count),

@@ -233,9 +233,11 @@ def _check(given: dict[str, object]) -> None:
 
 
 def _run(tasks: list[Task], given: dict[str, object], arguments: argparse.Namespace, stream) -> int:
+    import bpy
+
     failed = []
     for task in tasks:
-        label = str(task.source or "the open file")
+        label = str(task.source or bpy.data.filepath or "the open scene")
         try:
             _tell(stream, _bake(task, given, arguments.enable_scripts, arguments.selected))
         except (RadiosityError, OSError) as error:

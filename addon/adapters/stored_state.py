@@ -28,10 +28,12 @@ def leave_edit_mode(context: bpy.types.Context) -> None:
         # Leaving it for one object does so for all of its type that are edited together.
         if obj.mode != 'EDIT':
             continue
-        # An override of the context is not enough: the mode is that of the view layer's active object.
+        # Two things are asked for: the view layer's active object, whose mode is set, and the context's, which the
+        # program's --command has none of, since no window belongs to it.
         objects.active = obj
         try:
-            left = bpy.ops.object.mode_set.poll() and 'FINISHED' in bpy.ops.object.mode_set(mode='OBJECT')
+            with context.temp_override(active_object=obj, object=obj):
+                left = bpy.ops.object.mode_set.poll() and 'FINISHED' in bpy.ops.object.mode_set(mode='OBJECT')
         finally:
             objects.active = active
         if not left or obj.mode == 'EDIT':

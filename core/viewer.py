@@ -162,8 +162,11 @@ class Viewer:
         colors = np.empty((len(triangles), 3), np.float32)
         is_light = np.full(len(triangles), self.scene.background_is_light)
         met = triangles >= 0
-        if not met.all():
-            colors[~met] = _sky_colors(self.scene.background, view.rays(x[~met], y[~met])[1])
+        background = np.asarray(self.scene.background, dtype=np.float64)
+        if background.ndim == 1 or background.shape[:2] == (1, 1):
+            colors[~met] = background.reshape(3)
+        else:
+            colors[~met] = _sky_colors(background, view.rays(x[~met], y[~met])[1])
         seen = triangles[met]
         corners = self.scene.colors[seen]
         u, v = u[met, None], v[met, None]
@@ -223,10 +226,7 @@ class Viewer:
 
 
 def _sky_colors(background: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n, 3) or (3,) colors of the background in directions (n, 3) of any length."""
-    background = np.asarray(background, dtype=np.float64)
-    if background.ndim == 1 or background.shape[:2] == (1, 1):
-        return background.reshape(3)
+    """(n, 3) colors of a sky (rows, columns, 3) in directions (n, 3) of any length."""
     rows, columns = background.shape[:2]
     height = directions[:, 2] / np.linalg.norm(directions, axis=1)
     # Centers of cells lie half a cell off the grid's start; azimuth goes around, height ends at the poles.

@@ -28,6 +28,9 @@ DIM = 0.05
 #: Surfaces looked through on the way inward: the two sides of a wall and of what leans on it.
 MAX_WALLS = 4
 
+#: Rays over the hemisphere at most when looking again: these are few vertices in odd places.
+LOOK_RAYS = 128
+
 #: Rings of buried receivers that are filled from their neighbors. Deeper ones lie where nobody sees them.
 FILL_RINGS = 64
 
@@ -47,6 +50,7 @@ def unbury(
     by ring. What neither reaches stays as it is.
     """
     light, known = light.copy(), ~buried
+    rays = min(rays, LOOK_RAYS)
     left = np.nonzero(buried & receivers.borders)[0]
     spent = 0
     for number, step in enumerate(STEPS):

@@ -119,7 +119,7 @@ class PatchSolution:
         while len(new := self._met_backs()):
             for done in self._activate(new):
                 yield 0.7 + 0.1 * done
-        self._find_enclosed()
+        self._find_enclosed(self._sides)
         self._find_buried(self._sides)
         yield from shared_progress(self._iterate(self.tolerance), 0.8, 1.0)
 
@@ -133,7 +133,7 @@ class PatchSolution:
         while len(new := self._met_backs()):
             yield from self._activate(new)
         late = self._sides[known:]
-        self._find_enclosed()
+        self._find_enclosed(late)
         self._find_buried(late)
         for _ in range(LATE_BOUNCES):
             self._bounce(late)
@@ -172,35 +172,37 @@ class PatchSolution:
         self._met[seen.rows] = True
         self.active[rows] = True
 
-    def _find_enclosed(self) -> None:
-        """Mark the patches that no light reaches and that see nothing but each other.
+    def _find_enclosed(self, sides: list[_Side]) -> None:
+        """Mark the patches of these sides that no light reaches and that see nothing but such patches.
 
         A patch half inside a solid counts as enclosed if one of its points is, or the inside would seem open there.
         """
-        rows = self.hits_to_rows.rows
-        unlit = [
-            ~(side.direct > 0).any(axis=2) & ~(self.emitted[side.rows] > 0).any(axis=1)[:, None] for side in self._sides
-        ]
-        inside = np.zeros(rows, np.uint8)
+        inside = np.zeros(self.hits_to_rows.rows, np.uint8)
+        inside[: 2 * self.patches.count] = self.enclosed
         inside[self.hits_to_rows.black_row] = 1
-        for side, dark in zip(self._sides, unlit, strict=True):
-            inside[side.rows] = dark.any(axis=1)
+        candidates = []
+        for side in sides:
+            unlit = ~(side.direct > 0).any(axis=2) & ~(self.emitted[side.rows] > 0).any(axis=1)[:, None]
+            candidates.append(np.flatnonzero(unlit))
+            inside[side.rows[unlit.any(axis=1)]] = 1
         for _ in range(MAX_ROUNDS):
-            before = int(inside.sum())
-            stays = [
-                (dark & (_share(inside, side.seen.rows).reshape(-1, POINTS) >= ENCLOSED)).any(axis=1)
-                for side, dark in zip(self._sides, unlit, strict=True)
-            ]
-            for side, stay in zip(self._sides, stays, strict=True):
-                inside[side.rows] = stay
-            if int(inside.sum()) == before:
+            is_settled = True
+            for number, side in enumerate(sides):
+                points = candidates[number]
+                stays = _share(inside, side.seen.rows, points) >= ENCLOSED
+                candidates[number] = points[stays]
+                still = np.zeros(len(side.rows), bool)
+                still[points[stays] // POINTS] = True
+                is_settled &= bool(stays.all())
+                inside[side.rows] = still
+            if is_settled:
                 break
         self.enclosed = inside[: 2 * self.patches.count] > 0
 
     def _find_buried(self, sides: list[_Side]) -> None:
         dark = self.dark_rows()
         for side in sides:
-            share = _share(dark, side.seen.rows).reshape(-1, POINTS)
+            share = _share(dark, side.seen.rows, np.arange(len(side.seen.rows))).reshape(-1, POINTS)
             kept = share <= BURIED
             gone = ~kept.any(axis=1)
             self.buried[side.rows[gone]] = True
@@ -290,12 +292,14 @@ def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:
     return np.einsum("npk,np->nk", arriving, weight)
 
 
-def _share(marked: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(n,) part of the rays (n, r) that lead to marked rows of the table, in blocks of bounded memory."""
-    out = np.empty(len(rows), np.float32)
+def _share(marked: np.ndarray, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Part (n,) of the rays that lead to marked rows of the table, for the points `which` (n,) of those whose rays lead
+    to `rows` (m, r), in blocks of bounded memory."""
+    out = np.empty(len(which), np.float32)
     block = max(1, 4 * CHUNK_RAYS // max(rows.shape[1], 1))
-    for start in range(0, len(rows), block):
-        out[start : start + block] = marked[rows[start : start + block]].mean(axis=1, dtype=np.float32)
+    for start in range(0, len(which), block):
+        seen = marked[rows[which[start : start + block]]]
+        out[start : start + block] = seen.sum(axis=1, dtype=np.int32) / np.float32(rows.shape[1])
     return out
 
 

@@ -55,7 +55,7 @@ def test_linear_change_is_met_but_for_the_tie_on_slopes():
     inner = (np.abs(receivers.points[:, :2]) < 0.4).all(axis=1)
     # The tie shortens slopes by RIDGE over the nodes' own spread, 2 % of about 1 spacing squared.
     np.testing.assert_allclose(values[inner], light[inner], atol=0.05 * 0.1)
-    np.testing.assert_allclose(values, light, atol=0.4 * 0.1)
+    np.testing.assert_allclose(values, light, atol=0.5 * 0.1)
 
 
 def test_smooth_change_is_met_to_second_order():

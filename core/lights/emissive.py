@@ -15,6 +15,10 @@ from .area import AreaLight
 #: to the hemispheres: every receiver then has dozens of its rays on them.
 WIDE_SHARE = 0.4
 
+#: Triangles of one look up to which the box counts. A glowing dome of thousands is left to the hemispheres, which meet
+#: it, however large the box.
+MAX_WIDE = 64
+
 #: Emitters that give less than this part of all emitted power are left to the hemispheres too: their noise is small
 #: against what lights the scene.
 FAINT_SHARE = 1e-3
@@ -51,15 +55,19 @@ def area_lights(
         return [], sampled
     corners = np.asarray(vertices, dtype=float)[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    sides = np.ptp(np.asarray(vertices, dtype=float)[triangles.ravel()], axis=0)
+    total = areas.sum()
     # Two plates far from each other are all surfaces there are, and yet hardly a ray of one meets the other: compare
     # with the box around the scene as well, which no ray leaves unseen.
-    total = max(areas.sum(), 2 * (sides * np.roll(sides, 1)).sum())
+    sides = np.ptp(np.asarray(vertices, dtype=float)[triangles.ravel()], axis=0)
+    around = 2 * (sides * np.roll(sides, 1)).sum()
     _, looks = np.unique(emission[emitting], axis=0, return_inverse=True)
     looks = looks.reshape(-1)
     power = areas[emitting] * emission[emitting].max(axis=1) * np.where(two_sided[emitting], 2, 1)
     cover, shine = np.bincount(looks, weights=areas[emitting]), np.bincount(looks, weights=power)
-    kept = (cover <= WIDE_SHARE * total) & (shine >= FAINT_SHARE * (power.sum() + lamp_power))
+    few = np.bincount(looks) <= MAX_WIDE
+    kept = (cover <= WIDE_SHARE * np.where(few, max(total, around), total)) & (
+        shine >= FAINT_SHARE * (power.sum() + lamp_power)
+    )
     chosen = emitting[kept[looks]]
     sampled[chosen] = True
     lights = []

@@ -361,3 +361,12 @@ def test_concave_pairs_stay_two_triangles():
     assert sampled.sum() == 2
     assert sum(light.power[0] for light in lights) == pytest.approx(0.002)
     assert all(len(light.vertices) == 3 for light in lights)
+
+
+def test_a_glowing_dome_of_many_faces_is_left_to_the_hemispheres():
+    scene = inward_sphere(12)
+    corners = scene.surfaces.vertices[scene.surfaces.triangles]
+    emission = np.repeat((corners.mean(axis=1)[:, 2:] > 0).astype(float), 3, axis=1)
+    one_sided = np.zeros(len(emission), bool)
+    lights, _ = area_lights(scene.surfaces.vertices / 2, scene.surfaces.triangles, emission, one_sided, 0.0)
+    assert not lights

@@ -174,6 +174,19 @@ def test_rays_along_a_wall_do_not_see_its_back():
     assert (seen.rows < setting.patches.count).all()
 
 
+@pytest.mark.parametrize(("slope", "back"), [(-1e-2, False), (5e-5, False), (2e-4, True), (0.5, True)])
+def test_hits_at_grazing_angles_count_as_front(slope, back):
+    setting = panel()
+    hits = {
+        "primID": np.zeros(1, np.int32),
+        "u": np.full(1, 0.3, np.float32),
+        "v": np.full(1, 0.3, np.float32),
+        "Ng": np.array([[0, 0, -7.0]], np.float32),
+    }
+    row = setting.hits.look_up(hits, np.array([[1, 0, -slope]], np.float32))
+    assert (row[0] >= setting.patches.count) == back
+
+
 def test_harmonic_mean_distance_under_a_wide_ceiling():
     # Mean of 1 / d over cosine-weighted directions is (2 / 3) / h under an endless ceiling at height h.
     vertices, faces = grid(CEILING * (20, 20, 1), 1, 1)

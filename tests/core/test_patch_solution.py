@@ -145,13 +145,13 @@ def test_patches_under_a_block_are_buried_and_those_beside_it_are_not():
     solution, model = solved(scene_of(floor, block, lights=[lamp]))
     points = model.frame.size * solution.patches.points + model.frame.center
     on_floor = (np.abs(points[..., 2]) < 1e-6).all(axis=1) & (solution.patches.areas > 0)
+    on_floor &= solution.patches.normals[:, 0, 2] > 0  # the block's bottom lies there too
     inside = on_floor & (np.abs(points[..., :2]) < 0.29).all(axis=(1, 2))
     beside = on_floor & (np.abs(points[..., :2]) > 0.31).any(axis=2).all(axis=1)
     buried = solution.buried[: solution.patches.count]
     assert inside.sum() > 10
     assert not buried[beside].any()
-    radiosity = solution.radiosity[: solution.patches.count, 0]
-    assert buried[inside].mean() > 0.9 or radiosity[inside].max() < 0.01 * radiosity[beside].mean()
+    assert buried[inside].all()
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.05])

@@ -22,7 +22,7 @@ from .direct_light import direct_light
 from .discretization.merging import merge_coplanar
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
-from .gathering import HitTable, gather
+from .gathering import HitTable, WallSides, gather
 from .indirect_light import indirect_light, uncut_edges
 from .keys import row_keys
 from .lights.emissive import area_lights
@@ -86,6 +86,7 @@ class _Model:
     emission: np.ndarray
     two_sided: np.ndarray
     black_back: np.ndarray
+    sides: WallSides | None
     lights: list
 
 
@@ -204,7 +205,15 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     nearness = _nearness(tracer, patches, cells, pool)
     urgent = np.lexsort((nearness, ~crossed))
     urgent = urgent[crossed[urgent] | (nearness[urgent] < NEAR)]
+    whole = patches.count
     patches = split_cells(patches, corners, triangles, cells[urgent], plan.patches)
+    # Parts that a wall still crosses are split once more: they alone would carry light to its other side.
+    cells, starts, segments = probe_segments(patches, corners, triangles, whole)
+    crossed = _crossed(tracer, starts, segments, pool)
+    patches = split_cells(patches, corners, triangles, cells[crossed], plan.patches)
+    cells, starts, segments = probe_segments(patches, corners, triangles)
+    walled = np.zeros(patches.count, bool)
+    walled[cells[_crossed(tracer, starts, segments, pool)]] = True
     reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled, vertices)
     return _Model(
         frame=frame,
@@ -214,6 +223,7 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
         emission=emission,
         two_sided=two_sided[patches.point_triangles[:, 0]],
         black_back=~two_sided,
+        sides=WallSides.of(walled, corners[triangles], patches.areas) if walled.any() else None,
         lights=[*lamps, *shining],
     )
 
@@ -255,7 +265,7 @@ def _patch_solution(
 ) -> PatchSolution:
     return PatchSolution(
         tracer=model.tracer,
-        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky),
+        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, model.sides),
         lights=model.lights,
         reflectance=model.reflectance,
         emission=model.emission,

@@ -49,17 +49,77 @@ def turns_of(count: int, seed: int) -> np.ndarray:
     return ((index >> np.uint64(40)).astype(np.float32) * np.float32(2 * np.pi / 2**24)).astype(np.float32)
 
 
+#: What of a hit a look-up needs.
+_USED = ("primID", "u", "v", "Ng", "tfar")
+
+#: How far the look-up is moved from a patch on which a wall stands, in sides of the patch.
+ASIDE = 2.5
+
+
+@dataclass(frozen=True)
+class WallSides:
+    """Look-ups on the right side of walls.
+
+    However small the patches, some lie under a wall and have light of both its sides. A ray that ends on one of them is
+    looked up a little back along its way, where it has come from its own side; if it starts nearer than that, on the
+    wall itself, then a little further on.
+
+    Parameters
+    ----------
+    crossed : (P,) bool
+        Patches on which something stands.
+    gradients : (m, 2, 3) float32
+        How the weights of each triangle's second and third corner grow along the axes.
+    sizes : (P,) float32
+        Sides of the patches.
+    """
+
+    crossed: np.ndarray
+    gradients: np.ndarray
+    sizes: np.ndarray
+
+    @classmethod
+    def of(cls, crossed: np.ndarray, corners: np.ndarray, areas: np.ndarray) -> WallSides:
+        """For patches of `areas` (P,) on triangles with `corners` (m, 3, 3)."""
+        one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normals = np.cross(one, other)
+        normals /= np.maximum(np.einsum("ij,ij->i", normals, normals), 1e-300)[:, None]
+        gradients = np.stack([np.cross(other, normals), np.cross(normals, one)], axis=1)
+        return cls(crossed, gradients.astype(np.float32), np.sqrt(areas).astype(np.float32))
+
+    def mend(self, rows: np.ndarray, patches: Patches, hits: dict, directions: np.ndarray) -> None:
+        """Replace rows (n,) of crossed patches by those of the place aside, in the same triangle."""
+        which = np.nonzero(self.crossed[rows])[0]
+        if not len(which):
+            return
+        triangles = hits["primID"][which]
+        normals = hits["Ng"][which]
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-20))
+        along = directions[which]
+        along = along - np.einsum("ij,ij->i", along, normals)[:, None] * normals
+        length = np.linalg.norm(along, axis=1)
+        aside = np.float32(ASIDE) * self.sizes[rows[which]]
+        step = np.where(hits["tfar"][which] * length > aside, -aside, aside) / np.maximum(length, np.float32(1e-6))
+        move = np.einsum("nki,ni->nk", self.gradients[triangles], along * step[:, None])
+        # In a corner of the room the way leads out of the triangle: as far as its border.
+        u = np.clip(hits["u"][which] + move[:, 0], 0, 1)
+        v = np.clip(hits["v"][which] + move[:, 1], 0, 1 - u)
+        rows[which] = patches.at(triangles, u, v)
+
+
 @dataclass(frozen=True)
 class HitTable:
     """How a hit becomes a row of the radiosity table: fronts, backs, sky cells, and two rows that are always black: one
     for backs that reflect nothing, and last one for rays that leave a scene without sky.
 
-    `black_back` (m,) marks triangles whose back reflects nothing.
+    `black_back` (m,) marks triangles whose back reflects nothing. `sides`, where given, tells the two sides of patches
+    apart on which a wall stands.
     """
 
     patches: Patches
     black_back: np.ndarray
     sky: Sky | None
+    sides: WallSides | None = None
 
     @property
     def sky_start(self) -> int:
@@ -101,15 +161,18 @@ class HitTable:
         triangles = hits["primID"]
         met = triangles >= 0
         if met.all():
-            return self._patch_rows(triangles, hits["u"], hits["v"], hits["Ng"], directions)
+            return self._patch_rows(hits, directions)
         rows = np.full(len(triangles), self.outside_row, np.int32)
-        rows[met] = self._patch_rows(triangles[met], hits["u"][met], hits["v"][met], hits["Ng"][met], directions[met])
+        rows[met] = self._patch_rows({name: hits[name][met] for name in _USED}, directions[met])
         if self.sky is not None:
             rows[~met] = self.sky_start + self._sky_cell(directions[~met])
         return rows
 
-    def _patch_rows(self, triangles, u, v, facing, directions) -> np.ndarray:
-        rows = self.patches.at(triangles, u, v)
+    def _patch_rows(self, hits: dict, directions: np.ndarray) -> np.ndarray:
+        triangles, facing = hits["primID"], hits["Ng"]
+        rows = self.patches.at(triangles, hits["u"], hits["v"])
+        if self.sides is not None:
+            self.sides.mend(rows, self.patches, hits, directions)
         along = np.einsum("ij,ij->i", facing, directions)
         back = np.nonzero(along > 0)[0]
         if len(back):

@@ -20,6 +20,11 @@ def row_keys(*columns: np.ndarray) -> np.ndarray:
 
 def unique_pairs(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     """Undirected pairs (e, 2) int32 of different numbers below `count`, each once, the lower number first, sorted."""
+    return counted_pairs(one, other, count)[0]
+
+
+def counted_pairs(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `unique_pairs`, and how often each pair was given (e,)."""
     apart = one != other
     keys = np.minimum(one, other)[apart].astype(np.int64)
     keys *= count
@@ -27,5 +32,6 @@ def unique_pairs(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     keys.sort()
     first = np.ones(len(keys), bool)
     np.not_equal(keys[1:], keys[:-1], out=first[1:])
-    keys = keys[first]
-    return np.stack([keys // count, keys % count], axis=1).astype(np.int32)
+    starts = np.flatnonzero(first)
+    keys, times = keys[starts], np.diff(starts, append=len(keys))
+    return np.stack([keys // count, keys % count], axis=1).astype(np.int32), times

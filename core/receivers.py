@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .keys import row_keys, unique_pairs
+from .keys import counted_pairs, row_keys
 from .scene import ReceiverMesh
 from .visibility.embree import OFFSET, Frame
 
@@ -22,13 +22,16 @@ SAME_NORMAL = 1e-3
 #: Steps of the grid, in unit lengths, on which two receivers count as being at the same place.
 SAME_PLACE = 1e-7
 
-#: Receivers on the border of their face are moved towards its middle by this part of the way, so that their rays start
-#: above their own face and not in the wall beside it (study, section 5: without it half the rays of a border go
-#: astray).
+#: Receivers on a border are moved into their face by this part of the way to its middle, so that their rays start above
+#: their own face and not in the wall beside it (study, section 5: without it half the rays of a border go astray).
 INSET = 1e-3
 
-#: A receiver lies on a border when the middle of its faces is off by more than this part of their size.
-BORDER = 0.25
+#: Part of the sum of a corner's two sides that leads towards the middle of its face: the middle itself is at a third in
+#: a triangle and at half in a square.
+MIDDLE = 0.4
+
+#: Half the diagonal of a square, in its sides: what the mean length of edges is taken times for the size of a face.
+HALF_DIAGONAL = 0.5**0.5
 
 
 @dataclass(frozen=True)
@@ -40,15 +43,15 @@ class Receivers:
     points, normals : (r, 3) float32
         Positions, moved off face borders; shading normals.
     sizes : (r,) float32
-        Mean distance to the middle of the faces around: half the local mesh spacing.
+        About half the diagonal of the faces around: the local mesh spacing.
     edges : (e, 2) int32
         Pairs of receivers joined by a mesh edge within their smooth group, each once.
     corner_receivers : list of (c,) int32
         Receiver of every corner of each mesh; -1 where the position or normal is not finite.
     borders : (r,) bool
-        On the border of a smooth group.
+        On the border of a smooth group: at the end of an edge that belongs to one face only.
     inward : (r, 3) float32
-        From each receiver to the middle of the faces around it, along the surface; near 0 within a regular mesh.
+        From a receiver on a border towards the middle of the face that lies most inward; 0 for all others.
     """
 
     points: np.ndarray
@@ -87,27 +90,6 @@ def _vertex_groups(mesh: ReceiverMesh) -> tuple[np.ndarray, np.ndarray]:
     return rank[group], leaders
 
 
-def _arms(mesh: ReceiverMesh, place: np.ndarray) -> np.ndarray:
-    """From each corner to the middle of its face (c, 3) float32; 0 where the face has a broken corner."""
-    lengths = np.diff(mesh.face_offsets)
-    corners = place[mesh.corner_vertices]
-    middles = np.add.reduceat(corners, mesh.face_offsets[:-1].astype(np.intp), axis=0)
-    middles /= lengths[:, None].astype(np.float32)
-    np.subtract(np.repeat(middles, lengths, axis=0), corners, out=corners)
-    # A face with a broken corner has no middle; its sound corners are placed by their other faces.
-    broken = ~np.isfinite(middles).all(axis=1)
-    if broken.any():
-        corners[np.repeat(broken, lengths)] = 0
-    return corners
-
-
-def _sum_by(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    sums = np.empty((count, 3), np.float32)
-    for axis in range(3):
-        sums[:, axis] = np.bincount(index, weights=values[:, axis], minlength=count)
-    return sums
-
-
 def _next_corners(mesh: ReceiverMesh) -> np.ndarray:
     following = np.arange(1, len(mesh.corner_vertices) + 1, dtype=np.int32)
     following[mesh.face_offsets[1:] - 1] = mesh.face_offsets[:-1]
@@ -128,70 +110,115 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     Receivers
         In the order in which the meshes' corners first name them.
     """
-    groups, points, normals, inward, sizes, edges, base = [], [], [], [], [], [], 0
+    groups, points, normals, sizes, pairs, base = [], [], [], [], [], 0
     for mesh in meshes:
         if not len(mesh.corner_vertices):
             groups.append(np.empty(0, np.int32))
             continue
         group, leaders = _vertex_groups(mesh)
         place = frame.to_unit(mesh.positions)
-        arms = _arms(mesh, place)
-        counts = np.bincount(group, minlength=len(leaders))
+        following = _next_corners(mesh)
+        sides = place[mesh.corner_vertices]
+        sides = np.subtract(sides[following], sides, out=sides)
+        lengths = np.sqrt(np.einsum("ij,ij->i", sides, sides))
+        # An edge to a broken vertex has no length; its sound end is measured by its other edges.
+        lengths[~np.isfinite(lengths)] = 0
+        del sides
         points.append(place[mesh.corner_vertices[leaders]])
         normals.append(np.asarray(mesh.corner_normals[leaders], np.float32))
-        inward.append(_sum_by(group, arms, len(leaders)) / counts[:, None].astype(np.float32))
-        lengths = np.sqrt(np.einsum("ij,ij->i", arms, arms))
-        sizes.append((np.bincount(group, weights=lengths, minlength=len(leaders)) / counts).astype(np.float32))
-        del arms, lengths
-        neighbor = group[_next_corners(mesh)]
-        edges.append(unique_pairs(group, neighbor, len(leaders)) + base)
-        groups.append(group + base)
+        sizes.append((np.bincount(group, weights=lengths) / np.bincount(group)).astype(np.float32))
+        group += base
+        pairs.append((group, group[following]))
+        groups.append(group)
         base += len(leaders)
     if not base:
         empty = np.empty((0, 3), np.float32)
         return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool), empty)
-    return _welded(
-        np.concatenate(points),
-        np.concatenate(normals),
-        np.concatenate(inward),
-        np.concatenate(sizes),
-        np.concatenate(edges),
-        groups,
-    )
+    points, normals, sizes = (np.concatenate(parts) for parts in (points, normals, sizes))
+    where, leaders = _weld(points, normals)
+    points, normals = points[leaders], normals[leaders]
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    ends = [np.concatenate(side) for side in zip(*pairs, strict=True)]
+    del pairs
+    if len(leaders) < len(where):
+        ends = [where[side] for side in ends]
+        sound = (ends[0] >= 0) & (ends[1] >= 0)
+        ends = [side[sound] for side in ends]
+        groups = [where[group] for group in groups]
+    edges, times = counted_pairs(*ends, max(len(leaders), 1))
+    del ends
+    borders = np.zeros(len(leaders), bool)
+    borders[edges[times == 1]] = True
+    inward = _inward(meshes, groups, frame, borders, normals)
+    reach = np.linalg.norm(inward, axis=1)
+    # At least four ray offsets, or the ray would start closer to the wall than it starts above the floor, but never
+    # past half-way to the middle of a tiny face.
+    step = np.minimum(np.maximum(INSET * reach, 4 * OFFSET), 0.5 * reach)
+    points = points + (step / np.maximum(reach, 1e-20))[:, None].astype(np.float32) * inward
+    return Receivers(points, normals, HALF_DIAGONAL * sizes[leaders], edges, groups, borders, inward)
 
 
-def _welded(points, normals, inward, sizes, edges, groups) -> Receivers:
-    finite = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1) & np.isfinite(inward).all(axis=1)
+def _weld(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Number of each (vertex, smooth group) among those that differ in place or normal, -1 where either is not finite,
+    and the first that has each number."""
+    finite = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     finite &= np.einsum("ij,ij->i", normals, normals) > 0.25
-    keys = np.zeros(len(points), np.uint64)
-    keys[finite] = row_keys(
+    keys = row_keys(
         *np.rint(points[finite] / SAME_PLACE).astype(np.int64).T,
         *np.rint(normals[finite] / (2 * SAME_NORMAL)).astype(np.int64).T,
     )
-    # Receivers that are not finite keep no row; all others are numbered in order of first appearance.
-    _, leaders, inverse = np.unique(keys[finite], return_index=True, return_inverse=True)
+    _, leaders, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(leaders, kind="stable")
     rank = np.empty(len(leaders), np.int32)
     rank[order] = np.arange(len(leaders), dtype=np.int32)
-    leaders = np.nonzero(finite)[0][leaders[order]]
     where = np.full(len(points), -1, np.int32)
     where[finite] = rank[inverse.reshape(-1)]
+    return where, np.nonzero(finite)[0][leaders[order]]
 
-    count = len(leaders)
-    shares = np.bincount(where[finite], minlength=count)
-    inward = _sum_by(where[finite], inward[finite], count) / shares[:, None].astype(np.float32)
-    points, normals, sizes = points[leaders], normals[leaders], sizes[leaders]
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    if count < len(where):
-        edges = where[edges]
-        edges = edges[(edges >= 0).all(axis=1)]
-        edges = unique_pairs(edges[:, 0], edges[:, 1], max(count, 1)) if len(edges) else edges
-    inward -= np.einsum("ij,ij->i", inward, normals)[:, None] * normals
-    reach = np.linalg.norm(inward, axis=1)
-    borders = reach > BORDER * sizes
-    # At least four ray offsets, or the ray would start closer to the wall than it starts above the floor, but never
-    # past half-way to the middle of a tiny face.
-    step = np.minimum(np.maximum(INSET * reach, 4 * OFFSET), 0.5 * reach) * borders
-    points = points + (step / np.maximum(reach, 1e-20))[:, None] * inward
-    corner_receivers = [np.where(g >= 0, where[g], -1).astype(np.int32) if len(g) else g for g in groups]
-    return Receivers(points, normals, sizes, edges, corner_receivers, borders, inward)
+
+def _inward(
+    meshes: Sequence[ReceiverMesh], groups: list[np.ndarray], frame: Frame, borders: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """From each border receiver towards the middle of one of its faces (r, 3) float32, 0 for all others.
+
+    The directions in which faces extend from a vertex sum to a vector that points away from where there is none, also
+    at a corner that reaches inward, where the middles of its faces cancel. Of its faces that which lies most along this
+    sum is taken, so that the way leads through a face whatever their shapes.
+    """
+    count = len(borders)
+    arms, scores = np.zeros((count, 3), np.float32), np.full(count, -np.inf, np.float32)
+    collected = []
+    total = np.zeros((count, 3))
+    for mesh, group in zip(meshes, groups, strict=True):
+        if not len(group):
+            continue
+        following = _next_corners(mesh)
+        previous = np.empty_like(following)
+        previous[following] = np.arange(len(following), dtype=following.dtype)
+        corners = np.flatnonzero(borders[group] & (group >= 0))
+        places = frame.to_unit(mesh.positions)[mesh.corner_vertices[[corners, following[corners], previous[corners]]]]
+        ahead, back = places[1] - places[0], places[2] - places[0]
+        sound = np.isfinite(ahead).all(axis=1) & np.isfinite(back).all(axis=1)
+        corners, ahead, back = corners[sound], ahead[sound], back[sound]
+        who = group[corners]
+        # The integral of all directions between the two sides: their difference, turned by a right angle.
+        wedge = np.cross(_unit(back) - _unit(ahead), normals[who])
+        for axis in range(3):
+            total[:, axis] += np.bincount(
+                who, weights=-wedge[:, axis] if mesh.flipped else wedge[:, axis], minlength=count
+            )
+        arm = MIDDLE * (ahead + back)
+        reflex = np.einsum("ij,ij->i", np.cross(ahead, back), normals[who]) * (-1 if mesh.flipped else 1) < 0
+        arm[reflex] *= -1
+        collected.append((who, arm - np.einsum("ij,ij->i", arm, normals[who])[:, None] * normals[who]))
+    for who, arm in collected:
+        score = np.einsum("ij,ij->i", _unit(arm), total[who]).astype(np.float32)
+        order = np.lexsort((-score, who))
+        best = order[np.r_[True, who[order][1:] != who[order][:-1]]] if len(order) else order
+        better = score[best] > scores[who[best]]
+        arms[who[best[better]]], scores[who[best[better]]] = arm[best[better]], score[best[better]]
+    return arms
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)

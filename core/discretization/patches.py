@@ -60,6 +60,9 @@ class Patches:
     point_triangles : (P, POINTS) int32
     point_weights : (P, POINTS, 3) float32
         Triangle of each sample point, and its barycentric weights there.
+    cell_corners : (P, 3, 2) float64
+        Weights of the triangle's second and third corner at the corners of each cell, so numbered that a place within
+        it has the same weights in an inverted cell as in an upright one; unused where a patch is a cluster.
     splits : (P,) int32 or None
         First of the `SPLIT` * `SPLIT` patches that a cell was split into, -1 where it was not. A split cell has no area
         of its own any more.
@@ -74,6 +77,7 @@ class Patches:
     normals: np.ndarray
     point_triangles: np.ndarray
     point_weights: np.ndarray
+    cell_corners: np.ndarray
     splits: np.ndarray | None = None
 
     def at(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -88,12 +92,19 @@ class Patches:
         elif big.any():
             rows[big] += _cell(k[big], u[big], v[big])
         if self.splits is not None:
-            starts = self.splits[rows]
-            split = np.nonzero(starts >= 0)[0]
-            if len(split):
-                within = _within_cell(k[split], u[split], v[split])
-                rows[split] = starts[split] + _cell(np.full(len(split), SPLIT, np.float32), *within)
+            self._descend(rows, k, u, v)
         return rows
+
+    def _descend(self, rows: np.ndarray, k: np.ndarray, u: np.ndarray, v: np.ndarray) -> None:
+        """Replace split cells among `rows` by the parts that the places lie in, and those by theirs."""
+        which = np.nonzero(self.splits[rows] >= 0)[0]
+        k, u, v = k[which], u[which], v[which]
+        while len(which):
+            u, v = _within_cell(k, u, v)
+            k = np.full(len(which), SPLIT, np.float32)
+            rows[which] = self.splits[rows[which]] + _cell(k, u, v)
+            deeper = self.splits[rows[which]] >= 0
+            which, k, u, v = which[deeper], k[deeper], u[deeper], v[deeper]
 
 
 def _cell(k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -194,7 +205,9 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     owner = np.repeat(np.nonzero(whole)[0], cells[whole])
     patch_areas[:divided] = areas[owner] / divisions[owner] ** 2
     point_triangles[:divided] = owner[:, None]
-    weights[:divided] = _cell_points(divisions[owner], np.arange(divided) - first[owner])
+    cell_corners = np.tile(_cell_corners(np.ones(1), np.zeros(1)), (count, 1, 1))
+    cell_corners[:divided] = _cell_corners(divisions[owner], np.arange(divided) - first[owner])
+    weights[:divided] = _at_cell(cell_corners[:divided], _QUARTERS)
     patch_areas[divided:] = np.bincount(clusters, weights=areas[small], minlength=count - divided)
     point_triangles[divided:] = small[representatives]
     weights[divided:] = _cluster_points(representatives)
@@ -209,6 +222,7 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
         normals=normals[point_triangles].astype(np.float32),
         point_triangles=point_triangles,
         point_weights=weights.astype(np.float32),
+        cell_corners=cell_corners,
     )
 
 
@@ -222,21 +236,24 @@ def _cell_origin(k: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return i, np.floor(rest / 2), rest % 2 > 0
 
 
-def _cell_weights(k: np.ndarray, cell: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Barycentric weights (n, q, 3) in the triangle of places `inside` (q, 2) of its cells."""
+def _cell_corners(k: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Weights (n, 3, 2) of a triangle's second and third corner at the corners of its cells, k (n,) along a side."""
     i, j, inverted = _cell_origin(k, cell)
-    inside = np.where(inverted[:, None, None], 1 - inside, inside)
-    uv = (np.stack([i, j], axis=1)[:, None] + inside) / k[:, None, None]
+    upright = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    inside = np.where(inverted[:, None, None], 1 - upright, upright)
+    return (np.stack([i, j], axis=1)[:, None] + inside) / k[:, None, None]
+
+
+def _at_cell(corners: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Barycentric weights (n, q, 3) in its triangle of the places `inside` (q, 2) of cells with `corners` (n, 3, 2)."""
+    origin = corners[:, None, 0]
+    along = corners[:, 1:] - corners[:, :1]
+    uv = origin + np.einsum("qa,nab->nqb", inside, along)
     return np.concatenate([1 - uv.sum(axis=2, keepdims=True), uv], axis=2)
 
 
 #: Middles of the four quarters of a triangle, as weights of its second and third corner.
 _QUARTERS = np.array([[1 / 3, 1 / 3], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [1 / 6, 1 / 6]])
-
-
-def _cell_points(k: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """Barycentric weights (n, POINTS, 3) of the middles of the four quarters of cells."""
-    return _cell_weights(k, cell, _QUARTERS)
 
 
 def _cluster(corners, areas, normals, looks, size) -> tuple[np.ndarray, np.ndarray]:
@@ -268,13 +285,14 @@ def _cluster_points(representatives: np.ndarray) -> np.ndarray:
     middle = np.full((len(representatives), POINTS, 3), 1 / 3)
     alone = representatives[:, 0] == representatives[:, -1]
     if alone.any():
-        middle[alone] = _cell_points(np.ones(1), np.zeros(1))[0]
+        middle[alone] = _at_cell(_cell_corners(np.ones(1), np.zeros(1)), _QUARTERS)[0]
     return middle
 
 
-def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray):
-    """Segments just above each cell, along its sides and through its middle, that nothing crosses unless it stands
-    there.
+def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, start: int = 0):
+    """Segments just above each cell, along its sides and its middle, that nothing crosses unless it stands there.
+
+    Patches below number `start` are passed over.
 
     Returns
     -------
@@ -282,18 +300,18 @@ def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray
         Patches that are one cell of one triangle.
     starts, segments : (n, 6, 3) float64
     """
-    lone = (patches.point_triangles == patches.point_triangles[:, :1]).all(axis=1)
     owner = patches.point_triangles[:, 0]
-    lone &= (patches.divisions[owner] > 1) | (np.bincount(patches.first, minlength=patches.count) == 1)
+    lone = (patches.point_triangles == owner[:, None]).all(axis=1)
+    members = np.bincount(patches.first, minlength=patches.count)
+    lone &= (patches.divisions[owner] > 1) | (members <= 1)
+    lone[:start] = False
     cells = np.nonzero(lone & (patches.areas > 0))[0]
-    owner = owner[cells]
-    k = patches.divisions[owner].astype(np.float64)
     # Sides are drawn in a little: what ends exactly on them belongs to the neighbor as well.
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     corners = corners + 0.02 * (1 / 3 - corners)
     middles = (np.roll(corners, -1, axis=0) + np.roll(corners, -2, axis=0)) / 2
-    weights = _cell_weights(k, cells - patches.first[owner].astype(np.float64), np.concatenate([corners, middles]))
-    places = np.einsum("cpw,cwi->cpi", weights, np.asarray(vertices, dtype=np.float64)[triangles[owner]])
+    weights = _at_cell(patches.cell_corners[cells], np.concatenate([corners, middles]))
+    places = np.einsum("cpw,cwi->cpi", weights, np.asarray(vertices, dtype=np.float64)[triangles[owner[cells]]])
     lift = np.maximum(4 * OFFSET, 0.005 * np.sqrt(patches.areas[cells]))
     places = places + lift[:, None, None] * patches.normals[cells][:, :1]
     starts, ends = places[:, [0, 1, 2, 0, 1, 2]], places[:, [1, 2, 0, 3, 4, 5]]
@@ -304,23 +322,19 @@ def split_cells(
     patches: Patches, vertices: np.ndarray, triangles: np.ndarray, cells: np.ndarray, target: int
 ) -> Patches:
     """Patches whose `cells` (n,), the most urgent first, are each cut into `SPLIT` * `SPLIT`, until `GROWTH` times the
-    `target` have been added."""
+    `target` have been added. What results may be split again."""
     cells = np.sort(cells[: int(GROWTH * target / SPLIT**2)])
     if not len(cells):
         return patches
     parts = SPLIT**2
     owner = np.repeat(patches.point_triangles[cells, 0], parts)
-    k = patches.divisions[owner].astype(np.float64)
-    inner = _cell_points(np.full(parts, float(SPLIT)), np.arange(parts))[..., 1:]
-    number = cells - patches.first[patches.point_triangles[cells, 0]]
-    i, j, inverted = _cell_origin(
-        patches.divisions[patches.point_triangles[cells, 0]].astype(float), number.astype(float)
-    )
-    inside = np.where(inverted[:, None, None, None], 1 - inner, inner)
-    uv = (np.stack([i, j], axis=1)[:, None, None] + inside).reshape(-1, POINTS, 2) / k[:, None, None]
-    weights = np.concatenate([1 - uv.sum(axis=2, keepdims=True), uv], axis=2)
+    inner = _cell_corners(np.full(parts, float(SPLIT)), np.arange(parts))
+    corners = _at_cell(patches.cell_corners[cells], inner.reshape(-1, 2))[..., 1:].reshape(-1, 3, 2)
+    weights = _at_cell(corners, _QUARTERS)
     points = np.einsum("cpw,cwi->cpi", weights, np.asarray(vertices, dtype=np.float64)[triangles[owner]])
     splits = np.full(patches.count + len(owner), -1, np.int32)
+    if patches.splits is not None:
+        splits[: patches.count] = patches.splits
     splits[cells] = patches.count + parts * np.arange(len(cells), dtype=np.int32)
     areas = np.concatenate([patches.areas, np.repeat(patches.areas[cells] / parts, parts)])
     areas[cells] = 0
@@ -334,5 +348,6 @@ def split_cells(
         normals=np.concatenate([patches.normals, np.repeat(patches.normals[cells], parts, axis=0)]),
         point_triangles=np.concatenate([patches.point_triangles, np.repeat(owner[:, None], POINTS, axis=1)]),
         point_weights=np.concatenate([patches.point_weights, weights.astype(np.float32)]),
+        cell_corners=np.concatenate([patches.cell_corners, corners]),
         splits=splits,
     )

@@ -74,14 +74,7 @@ def test_furnace_is_even_everywhere(make, reflectance, two_sided):
 FURNACES = [name for name in ids(SOLUTIONS, "furnace") if "form_factor_case" in SOLUTIONS[name]["geometry"]]
 
 
-REENTRANT = pytest.mark.xfail(
-    strict=True, reason="a receiver on a reentrant corner is not moved off the walls: its faces' middles cancel"
-)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=REENTRANT) if name == "furnace-L-0.9" else name for name in FURNACES]
-)
+@pytest.mark.parametrize("name", FURNACES)
 def test_published_furnaces(name):
     case = SOLUTIONS[name]
     polygons, _ = polygons_of(FACTORS[case["geometry"]["form_factor_case"]])
@@ -341,11 +334,6 @@ def divided_room(thickness: float, divisions: int = 16):
     return scene_of(*things, lights=[lamp])
 
 
-STRADDLING = pytest.mark.xfail(
-    strict=True, reason="a part of a split floor cell that straddles a thin wall gives both sides its mean"
-)
-
-
 @pytest.mark.parametrize("divisions", [7, 16])
 @pytest.mark.parametrize(
     ("thickness", "accuracy"),
@@ -354,8 +342,8 @@ STRADDLING = pytest.mark.xfail(
         (1e-3, 0.1),
         (2e-2, 0.1),
         (2e-2, 0.03),
-        pytest.param(0.0, 0.03, marks=STRADDLING),
-        pytest.param(1e-3, 0.03, marks=STRADDLING),
+        (0.0, 0.03),
+        (1e-3, 0.03),
     ],
 )
 def test_no_light_passes_a_wall(thickness, accuracy, divisions):

@@ -54,7 +54,6 @@ def test_smooth_mesh_has_one_receiver_per_vertex_in_its_place():
     )
 
 
-@pytest.mark.xfail(strict=True, reason="borders are told by the middle of the faces around, which uneven faces shift")
 def test_closed_smooth_mesh_has_no_border():
     mesh = inward_sphere(8).receivers[0]
     assert not build_receivers([mesh], Frame.around(mesh.positions)).borders.any()
@@ -107,9 +106,6 @@ def test_moves_stay_within_tiny_faces():
     assert (np.linalg.norm(receivers.points[:, :2], axis=1) > 0.2e-6).all()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the middles of the faces around a reentrant corner may cancel, or point outward"
-)
 @pytest.mark.parametrize("long", [0.25, 1.0])
 def test_receivers_on_a_reentrant_corner_are_moved_off_both_walls(long):
     # The floor of an L: three faces around the corner at the origin, the fourth quarter is wall.

@@ -214,6 +214,8 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     cells, starts, segments = probe_segments(patches, corners, triangles)
     walled = np.zeros(patches.count, bool)
     walled[cells[_crossed(tracer, starts, segments, pool)]] = True
+    # Only next to small patches is it sure that what lies aside is on the same side.
+    walled &= np.sqrt(patches.areas) < 0.5 * patches.spacing
     reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled, vertices)
     return _Model(
         frame=frame,

@@ -20,18 +20,22 @@ def row_keys(*columns: np.ndarray) -> np.ndarray:
 
 def unique_pairs(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     """Undirected pairs (e, 2) int32 of different numbers below `count`, each once, the lower number first, sorted."""
-    return counted_pairs(one, other, count)[0]
+    return directed_pairs(one, other, count)[0]
 
 
-def counted_pairs(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """As `unique_pairs`, and how often each pair was given (e,)."""
+def directed_pairs(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `unique_pairs`, and for each pair whether it was given in both directions (e,) bool."""
     apart = one != other
     keys = np.minimum(one, other)[apart].astype(np.int64)
     keys *= count
     keys += np.maximum(one, other)[apart]
+    keys *= 2
+    keys += (one > other)[apart]
     keys.sort()
     first = np.ones(len(keys), bool)
-    np.not_equal(keys[1:], keys[:-1], out=first[1:])
+    np.not_equal(keys[1:] >> 1, keys[:-1] >> 1, out=first[1:])
     starts = np.flatnonzero(first)
-    keys, times = keys[starts], np.diff(starts, append=len(keys))
-    return np.stack([keys // count, keys % count], axis=1).astype(np.int32), times
+    ends = np.append(starts[1:], len(keys))[: len(starts)] - 1
+    both = (keys[starts] ^ keys[ends]) & 1 > 0
+    keys = keys[starts] >> 1
+    return np.stack([keys // count, keys % count], axis=1).astype(np.int32), both

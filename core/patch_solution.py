@@ -28,7 +28,7 @@ from .visibility.embree import CHUNK_RAYS, RayPool, Tracer
 BURIED = 0.8
 
 #: A point is enclosed when this part of its rays meets enclosed patches: all but what slips through cracks.
-ENCLOSED = 0.97
+ENCLOSED = 0.95
 
 #: Rounds of looking which patches stay enclosed when others turn out not to be; a solid settles in two or three.
 MAX_ROUNDS = 30

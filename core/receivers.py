@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .keys import counted_pairs, row_keys
+from .keys import directed_pairs, row_keys
 from .scene import ReceiverMesh
 from .visibility.embree import OFFSET, Frame
 
@@ -49,7 +49,7 @@ class Receivers:
     corner_receivers : list of (c,) int32
         Receiver of every corner of each mesh; -1 where the position or normal is not finite.
     borders : (r,) bool
-        On the border of a smooth group: at the end of an edge that belongs to one face only.
+        On the border of a smooth group: at the end of an edge that has a face on one side only.
     inward : (r, 3) float32
         From a receiver on a border towards the middle of the face that lies most inward; 0 for all others.
     """
@@ -145,10 +145,11 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
         sound = (ends[0] >= 0) & (ends[1] >= 0)
         ends = [side[sound] for side in ends]
         groups = [where[group] for group in groups]
-    edges, times = counted_pairs(*ends, max(len(leaders), 1))
+    edges, both = directed_pairs(*ends, max(len(leaders), 1))
     del ends
     borders = np.zeros(len(leaders), bool)
-    borders[edges[times == 1]] = True
+    # Two faces run along their common edge in opposite directions, also where a face is doubled.
+    borders[edges[~both]] = True
     inward = _inward(meshes, groups, frame, borders, normals)
     reach = np.linalg.norm(inward, axis=1)
     # At least four ray offsets, or the ray would start closer to the wall than it starts above the floor, but never
@@ -195,7 +196,8 @@ def _inward(
         following = _next_corners(mesh)
         previous = np.empty_like(following)
         previous[following] = np.arange(len(following), dtype=following.dtype)
-        corners = np.flatnonzero(borders[group] & (group >= 0))
+        corners = np.flatnonzero(group >= 0)
+        corners = corners[borders[group[corners]]]
         places = frame.to_unit(mesh.positions)[mesh.corner_vertices[[corners, following[corners], previous[corners]]]]
         ahead, back = places[1] - places[0], places[2] - places[0]
         sound = np.isfinite(ahead).all(axis=1) & np.isfinite(back).all(axis=1)

@@ -2,10 +2,9 @@
 
 Blender gives the power of a point, spot or area lamp in W, and the strength of a sun in W/m2 across its rays. A point
 or spot of power P has the intensity P / (4 pi) per steradian, a spot within its cone; an area lamp of area A has the
-exitance P / A on the side of its -Z axis. Limits, each named in a warning: the spread of an area lamp is taken as
+exitance P / A on the side of its -Z axis. The radius of a point or spot is that of a sphere, or with Soft Falloff that
+of a disk that faces each point it lights. Limits, each named in a warning: the spread of an area lamp is taken as
 180 degrees, textures of lamps as their sockets' values, lamps without shadow cast them, and light linking is ignored.
-Soft falloff, by which Cycles turns the sphere of a point or spot into a disk that faces each point it lights, is not
-modeled: within ten radii a lamp is brighter here, by the square of radius over distance (1 % at ten radii).
 """
 
 from __future__ import annotations

@@ -10,10 +10,12 @@ geometry is moved to the origin and scaled to unit size first, and rays must sta
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -42,6 +44,22 @@ def is_available() -> bool:
     return True
 
 
+@cache
+def _device():
+    """The Embree device of all scenes, which never ends.
+
+    By default each scene of embreex owns a device. Garbage collection may take that away first (a traceback refers to
+    the scene in a cycle, say) and the scene is then released with a device that is gone. That crashes where embreex
+    works on Blender's own libembree4 and allocator, which the loader prefers to embreex's when Blender links them.
+    The same at exit; so one reference to the device is never given back.
+    """
+    from embreex import rtcore
+
+    device = rtcore.EmbreeDevice()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(device))
+    return device
+
+
 def _embree_scene(vertices: np.ndarray, triangles: np.ndarray):
     try:
         from embreex import mesh_construction, rtcore_scene
@@ -50,7 +68,7 @@ def _embree_scene(vertices: np.ndarray, triangles: np.ndarray):
             "Cannot trace rays: the embreex package is missing. Install the Radiosity extension made for this platform "
             "(there is none for Windows or Linux on ARM)"
         ) from error
-    scene = rtcore_scene.EmbreeScene(robust=True)
+    scene = rtcore_scene.EmbreeScene(_device(), robust=True)
     if len(triangles):
         mesh_construction.TriangleMesh(
             scene,

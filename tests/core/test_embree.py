@@ -1,6 +1,7 @@
 """Rays through embree against rays intersected by hand, and the pool that spreads them over threads."""
 
 import builtins
+import gc
 import threading
 
 import numpy as np
@@ -213,6 +214,18 @@ def test_closing_a_pools_work_waits_for_chunks_that_run():
 
 
 # --- without embreex --------------------------------------------------------------------------------------------------
+
+
+def test_scenes_in_reference_cycles_are_collected_and_leave_the_device():
+    """Within Blender, which shares its libembree4, the collector crashed when it took a scene's device first."""
+    triangle = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]])
+    for _ in range(200):
+        tracer = Tracer.build(*triangle)
+        tracer.me = tracer
+    (device,) = gc.get_referents(tracer.scene)
+    del tracer
+    gc.collect()
+    assert gc.get_referents(Tracer.build(*triangle).scene) == [device]
 
 
 def test_missing_embreex_is_named_and_told(monkeypatch):

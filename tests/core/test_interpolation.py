@@ -55,7 +55,9 @@ def test_linear_change_is_met_but_for_the_tie_on_slopes():
     inner = (np.abs(receivers.points[:, :2]) < 0.4).all(axis=1)
     # The tie shortens slopes by RIDGE over the nodes' own spread, 2 % of about 1 spacing squared.
     np.testing.assert_allclose(values[inner], light[inner], atol=0.05 * 0.1)
-    np.testing.assert_allclose(values, light, atol=0.5 * 0.1)
+    # At the rim the nodes lie to one side: their mean, half a spacing away at most, is the least the fit can give, with
+    # no slope at all. The third channel rises by the square root of 2.
+    assert (np.abs(values - light).max(axis=0) < 0.5 * 0.1 * np.array([1, 1, np.sqrt(2)])).all()
 
 
 def test_smooth_change_is_met_to_second_order():

@@ -31,9 +31,10 @@ from .patch_colors import patch_colors
 from .patch_solution import PatchSolution
 from .probe import probe_error
 from .progress import Progress, finish, shared_progress
-from .receivers import build_receivers
+from .receivers import Receivers, build_receivers
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
+from .snapping import snap_to_surface
 from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
 
 #: Cells to which something stands nearer than this many of their sides are split: light changes over that distance.
@@ -119,7 +120,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         del cleaned
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
-            receivers = build_receivers(scene.receivers, model.frame)
+            receivers = _place_receivers(scene, model, pool)
         if not len(receivers):
             raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
         solution = _patch_solution(model, scene, plan, settings, pool)
@@ -296,6 +297,17 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
     if not broken:
         return []
     return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
+
+
+def _place_receivers(scene: Scene, model: _Model, pool: RayPool) -> Receivers:
+    receivers = build_receivers(scene.receivers, model.frame)
+    if not any(mesh.is_off_surface for mesh in scene.receivers):
+        return receivers
+    chosen = np.zeros(len(receivers), bool)
+    for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True):
+        if mesh.is_off_surface:
+            chosen[corners[corners >= 0]] = True
+    return snap_to_surface(model.tracer, receivers, chosen, pool)
 
 
 def _statistics(triangles, model, receivers, solution, indirect, rays, error, clock) -> dict:

@@ -94,6 +94,9 @@ class ReceiverMesh:
         Colors per corner where any varies (textures, vertex colors); replaces the palette.
     flipped : bool
         Whether the object's matrix mirrors, so that corner order gives the inward normal.
+    is_off_surface : bool
+        Whether modifiers give the object another shape than this mesh has, so that its vertices may lie off what rays
+        meet; they then take the light of the surface next to them.
     """
 
     name: str
@@ -107,6 +110,7 @@ class ReceiverMesh:
     corner_reflectance: np.ndarray | None = None
     corner_emission: np.ndarray | None = None
     flipped: bool = False
+    is_off_surface: bool = False
 
 
 @dataclass(frozen=True)

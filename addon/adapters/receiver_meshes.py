@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -140,7 +140,8 @@ def read_receivers(
             for obj in changed:
                 evaluated = obj.evaluated_get(depsgraph)
                 mesh = evaluated.data if has_same_topology(evaluated.data, obj.data) else obj.data
-                meshes[obj] = _read_receiver(obj, mesh, evaluated.matrix_world, materials)
+                receiver = _read_receiver(obj, mesh, evaluated.matrix_world, materials)
+                meshes[obj] = replace(receiver, is_off_surface=True)
     return [meshes[obj] for obj in objects], names
 
 

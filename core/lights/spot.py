@@ -10,7 +10,7 @@ from . import sampling
 from .point import PointLight
 
 #: Places on the lamp at which the cone is evaluated.
-CONE_PLACES = 16
+CONE_PLACES = 64
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,13 @@ class SpotLight:
         if self.is_sharp:
             cone = self.falloff(-towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12))
         else:
-            cone = self._cone(self._lamp.disks_towards(towards, sampling.disk(CONE_PLACES))).mean(axis=1)
+            segments = self._lamp.disks_towards(towards, sampling.disk(CONE_PLACES))
+            weights = np.maximum(np.einsum("nci,ni->nc", segments, normals), 0)
+            if self.soft:
+                # A disk gives by both cosines over the square of the distance; a sphere is even in solid angle.
+                weights /= np.maximum(np.einsum("nci,nci->nc", segments, segments), 1e-30) ** 2
+            total = weights.sum(axis=1)
+            cone = (weights * self._cone(segments)).sum(axis=1) / np.maximum(total, 1e-300)
         return self._lamp.geometry(points, normals) * cone
 
     def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

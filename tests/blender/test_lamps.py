@@ -89,7 +89,7 @@ def assert_agrees(ours, cycles, tolerance=0.01):
 
 HAS_TEMPERATURE = bpy.app.version >= (4, 5)
 
-LARGE_SPOT = dict(kind='SPOT', energy=50, shadow_soft_size=0.1, spot_size=radians(80), spot_blend=0.5)
+LARGE_SPOT = dict(kind='SPOT', energy=50, shadow_soft_size=0.25, spot_size=radians(80), spot_blend=0.5)
 
 LAMPS = {
     "point": (PointLight, dict(kind='POINT', energy=50, shadow_soft_size=0.0)),
@@ -114,6 +114,18 @@ LAMPS = {
         dict(kind='POINT', energy=50, shadow_soft_size=0.4, use_soft_falloff=True, location=(0.3, -0.2, 0.6)),
     ),
     "soft large spot": (SpotLight, {**LARGE_SPOT, "use_soft_falloff": True}),
+    "soft spot close by": (
+        SpotLight,
+        dict(
+            kind='SPOT',
+            energy=50,
+            shadow_soft_size=0.2,
+            spot_size=radians(110),
+            spot_blend=0.8,
+            use_soft_falloff=True,
+            location=(0.1, -0.1, 0.5),
+        ),
+    ),
     "sun": (SunLight, dict(kind='SUN', energy=3, angle=0.0, rotation=(0.5, 0.2, 0.0))),
     "wide sun": (SunLight, dict(kind='SUN', energy=3, angle=radians(30), rotation=(0.5, 0.2, 0.0))),
     "square": (AreaLight, dict(kind='AREA', energy=20, shape='SQUARE', size=0.5)),

@@ -1,4 +1,4 @@
-"""Well-spread points on a square, a disk and a triangle: deterministic, equal at every call.
+"""Well-spread points on a square, a disk and a polygon: deterministic, equal at every call.
 
 The same points serve all receivers. Visibility then changes smoothly from one vertex to the next, where points chosen
 per vertex would turn the sampling error into speckles.
@@ -29,13 +29,6 @@ def disk(count: int) -> np.ndarray:
     radius = np.sqrt((index + 0.5) / count)
     angle = index * np.pi * (3 - np.sqrt(5))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-
-
-def triangle(count: int) -> np.ndarray:
-    """(count, 3) barycentric weights, uniform over a triangle (Turk 1990, in Graphics Gems)."""
-    points = square(count)
-    root = np.sqrt(points[:, 0])
-    return np.column_stack([1 - root, root * (1 - points[:, 1]), root * points[:, 1]])
 
 
 def polygon(vertices: np.ndarray, count: int) -> np.ndarray:

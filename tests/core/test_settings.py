@@ -46,7 +46,8 @@ def test_every_name_is_accepted():
     for method in METHODS:
         for solver in SOLVERS:
             for bake_type in BAKE_TYPES:
-                BakeSettings(method=method, solver=solver, bake_type=bake_type)
+                settings = BakeSettings(method=method, solver=solver, bake_type=bake_type)
+                assert (settings.method, settings.solver, settings.bake_type) == (method, solver, bake_type)
 
 
 def test_settings_cannot_be_changed():

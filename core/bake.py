@@ -16,25 +16,25 @@ import numpy as np
 
 from .bake_plan import BakePlan, foreseen_memory, plan_for
 from .baked_mesh import BakedMesh
-from .burial import unbury
 from .cleaning import clean, compacted
-from .direct_light import direct_light
 from .discretization.merging import merge_coplanar
+from .discretization.patch_colors import patch_colors
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
-from .gathering import HitTable, WallSides, gather
-from .indirect_light import indirect_light, uncut_edges
+from .form_factors.cached_hemispheres import HitTable, WallSides, gather
+from .gathering.burial import unbury
+from .gathering.indirect_light import indirect_light, uncut_edges
+from .gathering.probe import probe_error
+from .gathering.receivers import Receivers, build_receivers
+from .gathering.snapping import snap_to_surface
 from .keys import row_keys
+from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
-from .patch_checks import check_patches
-from .patch_colors import patch_colors
-from .patch_solution import PatchSolution
-from .probe import probe_error
 from .progress import Progress, finish, shared_progress
-from .receivers import Receivers, build_receivers
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
-from .snapping import snap_to_surface
+from .solvers.patch_checks import check_patches
+from .solvers.patch_solution import PatchSolution
 from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
 
 #: Cells to which something stands nearer than this many of their sides are split: light changes over that distance.

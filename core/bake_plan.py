@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .discretization.patches import POINTS
-from .indirect_light import IndirectSettings
+from .gathering.indirect_light import IndirectSettings
 
 #: Bytes, measured with tracemalloc on a Cornell box of 460,000 vertices and rounded up: a triangle while it is merged
 #: and sorted into the tree, a corner with its share of a receiver, a patch, and what does not grow.

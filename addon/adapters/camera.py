@@ -7,8 +7,8 @@ import logging
 import bpy
 import numpy as np
 
-from ...core.framing import framed_view
-from ...core.viewer import View, Viewer
+from ...core.rendering.framing import framed_view
+from ...core.rendering.viewer import View, Viewer
 
 logger = logging.getLogger(__name__)
 

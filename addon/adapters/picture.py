@@ -1,7 +1,7 @@
 """Pictures of a baked scene, straight from its color attributes: no render engine, no GPU, no window.
 
 Shows the evaluated meshes, instances included, in the scene's view
-(`adapters.camera`), by `core.viewer`. A mesh that carries the attribute shows it; one that does not shows its
+(`adapters.camera`), by `core.rendering.viewer`. A mesh that carries the attribute shows it; one that does not shows its
 material's base color under a dim head light, so that it is seen to be unlit and still recognized.
 """
 
@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import EmptySceneError
-from ...core.viewer import ShownScene, View, Viewer
+from ...core.rendering.viewer import ShownScene, View, Viewer
 from .camera import picture_size, scene_view
 from .images import ImageLibrary
 from .mesh_arrays import read_corner_normals, read_mesh

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.errors import RadiosityError
-from ...core.png import encode_png
+from ...core.rendering.png import encode_png
 
 
 class PictureFileError(RadiosityError):

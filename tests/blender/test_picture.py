@@ -12,8 +12,8 @@ from mathutils import Euler, Vector
 from radiosity.addon.adapters.camera import MAX_SIDE, camera_view, picture_size
 from radiosity.addon.adapters.picture import baked_pixels, render_baked_picture, render_comparison
 from radiosity.addon.adapters.picture_file import PictureFileError, write_picture
-from radiosity.core.color import compress_highlights, exposure_scale, linear_to_srgb, srgb_to_linear
 from radiosity.core.errors import EmptySceneError
+from radiosity.core.rendering.color import compress_highlights, exposure_scale, linear_to_srgb, srgb_to_linear
 
 NAME = "Radiosity"
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from radiosity.core.discretization.nodes import build_levels
-from radiosity.core.interpolation import OVERSHOOT, fill_from_neighbors, interpolate
-from radiosity.core.receivers import build_receivers
+from radiosity.core.gathering.interpolation import OVERSHOOT, fill_from_neighbors, interpolate
+from radiosity.core.gathering.receivers import build_receivers
 from radiosity.core.visibility.embree import Frame, RayPool
 
 from tests.bakes import Thing, receiver_of

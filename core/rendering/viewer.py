@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ..visibility.embree import RayEngine
 from .color import compress_highlights, dither_to_bytes, exposure_scale, linear_to_srgb
-from .visibility.embree import RayEngine
 
 #: Rays in flight. About 150 bytes each, so some 80 MB.
 _BAND_SAMPLES = 500_000

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from radiosity.core.discretization.patches import build_patches
+from radiosity.core.form_factors.cached_hemispheres import Gathered, HitTable, gather, hemisphere_directions, turns_of
 from radiosity.core.form_factors.point_to_polygon import point_to_polygon
 from radiosity.core.frames import tangents, turned_frames
-from radiosity.core.gathering import Gathered, HitTable, gather, hemisphere_directions, turns_of
 from radiosity.core.progress import finish
 from radiosity.core.scene import Sky
 from radiosity.core.visibility.embree import RayPool, Tracer

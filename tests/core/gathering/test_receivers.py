@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radiosity.core.receivers import INSET, build_receivers
+from radiosity.core.gathering.receivers import INSET, build_receivers
 from radiosity.core.visibility.embree import OFFSET, Frame
 
 from tests.bakes import Thing, receiver_of

@@ -7,12 +7,12 @@ import pytest
 from radiosity.core import bake as module
 from radiosity.core.bake_plan import plan_for
 from radiosity.core.cleaning import clean
-from radiosity.core.indirect_light import uncut_edges
+from radiosity.core.gathering.indirect_light import uncut_edges
+from radiosity.core.gathering.receivers import build_receivers
 from radiosity.core.lights import PointLight
-from radiosity.core.patch_checks import check_patches
 from radiosity.core.progress import finish
-from radiosity.core.receivers import build_receivers
 from radiosity.core.settings import BakeSettings
+from radiosity.core.solvers.patch_checks import check_patches
 from radiosity.core.visibility.embree import RayPool
 
 from tests.bakes import Thing, scene_of

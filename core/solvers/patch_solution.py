@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .direct_light import direct_light
-from .discretization.patches import POINTS, Patches
-from .gathering import Gathered, HitTable, gather
-from .lights import Light
-from .progress import shared_progress
-from .visibility.embree import CHUNK_RAYS, RayPool, Tracer
+from ..discretization.patches import POINTS, Patches
+from ..form_factors.cached_hemispheres import Gathered, HitTable, gather
+from ..lights import Light
+from ..lights.direct_light import direct_light
+from ..progress import shared_progress
+from ..visibility.embree import CHUNK_RAYS, RayPool, Tracer
 
 #: A point is buried when more than this part of its rays meets dark backs. Inside a solid all of them do; under a
 #: sheet, a table's top say, many may, and that shade is real.

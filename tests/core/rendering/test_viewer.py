@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from radiosity.core.color import linear_to_srgb, srgb_to_linear
-from radiosity.core.framing import fitted_view, framed_view
-from radiosity.core.viewer import ShownScene, View, Viewer
+from radiosity.core.rendering.color import linear_to_srgb, srgb_to_linear
+from radiosity.core.rendering.framing import fitted_view, framed_view
+from radiosity.core.rendering.viewer import ShownScene, View, Viewer
 from radiosity.core.visibility.embree import RayEngine, is_available
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="rays need embreex")
@@ -104,7 +104,7 @@ def test_picture_is_the_same_in_bands_and_with_any_number_of_threads(monkeypatch
     colors = np.random.default_rng(6).random((4, 3)).astype(np.float32)
     scene = _scene(_wall(2.0, half=1.3, colors=colors))
     expected = Viewer(scene, threads=1).picture(_camera(), 50, 37)
-    monkeypatch.setattr("radiosity.core.viewer._BAND_SAMPLES", 1000)
+    monkeypatch.setattr("radiosity.core.rendering.viewer._BAND_SAMPLES", 1000)
     np.testing.assert_array_equal(Viewer(scene, threads=3).picture(_camera(), 50, 37), expected)
 
 

@@ -10,13 +10,13 @@ from collections.abc import Generator
 
 import numpy as np
 
-from .direct_light import direct_light
-from .gathering import gather
+from ..form_factors.cached_hemispheres import gather
+from ..lights.direct_light import direct_light
+from ..progress import shared_progress
+from ..solvers.patch_solution import BURIED, PatchSolution
+from ..visibility.embree import CHUNK_RAYS, OFFSET
 from .interpolation import fill_from_neighbors
-from .patch_solution import BURIED, PatchSolution
-from .progress import shared_progress
 from .receivers import Receivers
-from .visibility.embree import CHUNK_RAYS, OFFSET
 
 #: Parts of the way to the middle of its faces at which a buried receiver looks again.
 STEPS = (0.02, 0.1, 0.3, 0.6)

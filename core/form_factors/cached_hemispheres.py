@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .discretization.patches import Patches
-from .frames import turned_frames
-from .scene import Sky
-from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+from ..discretization.patches import Patches
+from ..frames import turned_frames
+from ..scene import Sky
+from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 
 #: Variants of the lattice, so that receivers with nearly the same turn still differ.
 VARIANTS = 16

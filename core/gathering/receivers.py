@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .keys import directed_pairs, row_keys
-from .scene import ReceiverMesh
-from .visibility.embree import OFFSET, Frame
+from ..keys import directed_pairs, row_keys
+from ..scene import ReceiverMesh
+from ..visibility.embree import OFFSET, Frame
 
 #: Corner normals of one smooth vertex agree to float rounding; Blender's custom normals are stored in 16 bits (6e-5).
 SAME_NORMAL = 1e-3

@@ -15,13 +15,13 @@ from math import inf
 
 import numpy as np
 
-from .discretization.nodes import NodeLevel, build_levels
-from .gathering import gather
+from ..discretization.nodes import NodeLevel, build_levels
+from ..form_factors.cached_hemispheres import gather
+from ..progress import shared_progress
+from ..solvers.patch_solution import BURIED, PatchSolution
+from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from .interpolation import interpolate
-from .patch_solution import BURIED, PatchSolution
-from .progress import shared_progress
 from .receivers import Receivers
-from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
 #: sends it.

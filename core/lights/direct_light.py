@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .gathering import turns_of
-from .lights import Light
-from .lights.table import LightTable
-from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+from ..form_factors.cached_hemispheres import turns_of
+from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+from . import Light
+from .table import LightTable
 
 #: Lights that a receiver asks at most.
 MAX_LIGHTS = 24

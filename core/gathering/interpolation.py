@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .discretization.nodes import NodeLevel
-from .frames import tangents
-from .visibility.embree import RayPool
+from ..discretization.nodes import NodeLevel
+from ..frames import tangents
+from ..visibility.embree import RayPool
 
 #: Weight of the tie that keeps slopes finite where the nodes lie on a line or on one side; relative to the spacing.
 RIDGE = 0.02

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from radiosity.core.color import (
+from radiosity.core.rendering.color import (
     LUMINANCE_WEIGHTS,
     compress_highlights,
     dither_to_bytes,

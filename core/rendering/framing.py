@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..visibility.embree import RayEngine
 from .viewer import View
-from .visibility.embree import RayEngine
 
 #: Points that look around, and directions each looks in. More changed no choice on the test scenes.
 _LOOKOUTS = 1024

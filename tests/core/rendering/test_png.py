@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 import pytest
-from radiosity.core.png import encode_png
+from radiosity.core.rendering.png import encode_png
 
 
 def _chunks(data):

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from .receivers import Receivers
-from .visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 
 #: Parts of the way to the middle of its face at which a receiver looks for the surface.
 STEPS = (0.0, 0.05, 0.15, 0.4)

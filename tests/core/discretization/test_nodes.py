@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from radiosity.core.discretization.nodes import MAX_NEIGHBORS, build_levels, connected_labels
-from radiosity.core.receivers import build_receivers
+from radiosity.core.gathering.receivers import build_receivers
 from radiosity.core.visibility.embree import Frame
 
 from tests.bakes import Thing, receiver_of

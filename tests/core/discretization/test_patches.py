@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from radiosity.core.cleaning import clean
+from radiosity.core.discretization.patch_colors import patch_colors
 from radiosity.core.discretization.patches import (
     FREE_TRIANGLES,
     POINTS,
@@ -13,7 +14,6 @@ from radiosity.core.discretization.patches import (
     probe_segments,
     split_cells,
 )
-from radiosity.core.patch_colors import patch_colors
 
 from tests.bakes import Thing, scene_of
 from tests.scenes import box, cornell_box, grid, inward_sphere

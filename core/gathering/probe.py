@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bake_plan import BakePlan
-from .direct_light import direct_light
-from .gathering import gather
-from .patch_solution import PatchSolution
-from .progress import finish
+from ..bake_plan import BakePlan
+from ..form_factors.cached_hemispheres import gather
+from ..lights.direct_light import direct_light
+from ..progress import finish
+from ..solvers.patch_solution import PatchSolution
 from .receivers import Receivers
 
 #: Receivers that are done again, and by what factor their rays grow. Their own error is then half of what is measured,

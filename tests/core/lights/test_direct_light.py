@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from radiosity.core.direct_light import MAX_LIGHTS, choose_lights, direct_light
 from radiosity.core.form_factors.point_to_polygon import point_to_polygon
 from radiosity.core.keys import unique_pairs
 from radiosity.core.lights import AreaLight, PointLight, SpotLight, SunLight
+from radiosity.core.lights.direct_light import MAX_LIGHTS, choose_lights, direct_light
 from radiosity.core.lights.table import LightTable
 from radiosity.core.progress import finish
 from radiosity.core.visibility.embree import RayPool, Tracer

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .cleaning import MAX_REFLECTANCE, clamped_emission, clamped_reflectance
-from .discretization.patches import POINTS, Patches
-from .scene import Surfaces
-from .visibility.embree import OFFSET, Tracer
+from ..cleaning import MAX_REFLECTANCE, clamped_emission, clamped_reflectance
+from ..scene import Surfaces
+from ..visibility.embree import OFFSET, Tracer
+from .patches import POINTS, Patches
 
 #: Places within each quarter of a cell at which a texture is read: 4 quarters of 4 make 16 readings a patch.
 _PLACES = np.array([[1 / 3, 1 / 3], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [1 / 6, 1 / 6]])

@@ -224,6 +224,16 @@ def floor_with_blocker(light: Callable[[], object], vertices: int = 2_500) -> bp
     return floor
 
 
+def _add_glowing_mesh(add: Callable[[], object], radiance: float) -> None:
+    """What `add` makes, as a mesh whose faces emit from both sides, as Blender's materials do unless told otherwise."""
+    add()
+    material, tree, output = _material("glow")
+    emission = tree.nodes.new('ShaderNodeEmission')
+    emission.inputs["Strength"].default_value = radiance
+    tree.links.new(emission.outputs[0], output.inputs[0])
+    bpy.context.object.data.materials.append(material)
+
+
 #: Every kind of lamp above the blocker, by name, and the world alone. Powers give an irradiance near 1 W/m2.
 FLOOR_LIGHTS: dict[str, Callable[[], object]] = {
     "point": lambda: add_lamp('POINT', (0.4, -0.3, 3), 400, shadow_soft_size=0.0, color=(1, 0.8, 0.5)),
@@ -244,6 +254,15 @@ FLOOR_LIGHTS: dict[str, Callable[[], object]] = {
     "disk area": lambda: add_lamp('AREA', (0.4, -0.3, 3), 200, (0.3, 0.2, 0), shape='DISK', size=0.8),
     "ellipse area": lambda: add_lamp(
         'AREA', (0.4, -0.3, 3), 200, (0.3, 0.2, 0.5), shape='ELLIPSE', size=1.4, size_y=0.5
+    ),
+    "glowing sphere": lambda: _add_glowing_mesh(
+        lambda: bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3, radius=0.4, location=(0.4, -0.3, 2.4)), 15
+    ),
+    "glowing ring": lambda: _add_glowing_mesh(
+        lambda: bpy.ops.mesh.primitive_torus_add(
+            major_radius=0.5, minor_radius=0.1, major_segments=32, location=(0.4, -0.3, 2.4), rotation=(1.2, 0, 0)
+        ),
+        25,
     ),
     "world": lambda: set_world((0.3, 0.4, 0.6)),
 }

@@ -1,7 +1,8 @@
 """Emissive faces: which of them are lights of their own, and which are left to the hemispheres.
 
 A small bright face must be aimed at: rays over the hemisphere would meet it by luck. A face that fills much of the
-scene is met by many of them, and aiming would only add work. Both ways count every emitted watt once.
+scene is met by many of them, and aiming would only add work. Both ways count every emitted watt once. Faces of a curved
+surface that emits, a bulb of hundreds, are one light together.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import numpy as np
 
 from ..visibility.embree import OFFSET
 from .area import AreaLight
+from .emissive_groups import are_empty, connected_groups
+from .mesh import MeshLight
 
 #: Emitters of one look that cover more of all surfaces, or of the box around them if that is more, than this are left
 #: to the hemispheres: every receiver then has dozens of its rays on them.
@@ -26,10 +29,16 @@ FAINT_SHARE = 1e-3
 #: Corners of a quad lie this close to their mean plane, in unit lengths, for its two triangles to be one light.
 FLATNESS = 0.1 * OFFSET
 
+#: Connected triangles beyond which they are one mesh light: a few are exact and cheap as lights of their own.
+MANY_TRIANGLES = 8
+
+#: Radius of a mesh light, in unit lengths, above which it is divided: one visible share must stand for all of it.
+LARGEST_RADIUS = 0.1
+
 
 def area_lights(
     vertices: np.ndarray, triangles: np.ndarray, emission: np.ndarray, two_sided: np.ndarray, lamp_power: float
-) -> tuple[list[AreaLight], np.ndarray]:
+) -> tuple[list[AreaLight | MeshLight], np.ndarray]:
     """Lights made of emissive triangles.
 
     Parameters
@@ -44,8 +53,9 @@ def area_lights(
 
     Returns
     -------
-    lights : list of AreaLight
-        Pairs of triangles that make a convex planar quad become one light.
+    lights : list of AreaLight and MeshLight
+        Pairs of triangles that make a convex planar quad become one light, and so do many triangles that hang together.
+        The inside of a closed surface does not shine: what it emits stays there.
     sampled : (m,) bool
         Triangles whose emission these lights stand for.
     """
@@ -70,10 +80,66 @@ def area_lights(
     )
     chosen = emitting[kept[looks]]
     sampled[chosen] = True
-    lights = []
-    for polygon, triangle in _polygons(corners, triangles, chosen, emission, two_sided):
+    if not len(chosen):
+        return [], sampled
+    groups, closed = connected_groups(corners[chosen])
+    foreign = np.ones(len(vertices), bool)
+    foreign[triangles[chosen]] = False
+    closed &= are_empty(corners[chosen], groups, np.asarray(vertices, dtype=float)[foreign])
+    two_sided = two_sided.copy()
+    two_sided[chosen[closed[groups]]] = False
+    many = np.bincount(groups) > MANY_TRIANGLES
+    few = chosen[~many[groups]]
+    lights: list[AreaLight | MeshLight] = []
+    for polygon, triangle in _polygons(corners, triangles, few, emission, two_sided):
         lights.append(AreaLight(polygon, emission[triangle].astype(float), bool(two_sided[triangle])))
+    order = np.argsort(groups, kind="stable")
+    for group in np.flatnonzero(many):
+        start, stop = np.searchsorted(groups[order], [group, group + 1])
+        rows = chosen[order[start:stop]]
+        for side in (False, True):
+            mine = rows[two_sided[rows] == side]
+            lights += _mesh_lights(corners[mine], emission[mine].astype(float), side)
     return lights, sampled
+
+
+def _mesh_lights(corners: np.ndarray, emission: np.ndarray, two_sided: bool) -> list[MeshLight]:
+    """Mesh lights of (t, 3, 3) triangles with emission (t, 3), small enough each.
+
+    A light has one color. Where faces differ in more than brightness, a screen with a picture, there is one light per
+    channel.
+    """
+    lights = []
+    if not len(corners):
+        return lights
+    level = emission.max(axis=1)
+    hues = emission / level[:, None]
+    if np.ptp(hues, axis=0).max() < 1e-6:
+        parts = [(hues[0], level)]
+    else:
+        parts = [(channel, emission @ channel) for channel in np.eye(3)]
+    for color, intensities in parts:
+        lit = intensities > 0
+        if not lit.any():
+            continue
+        for piece in _small_pieces(corners[lit]):
+            lights.append(MeshLight(corners[lit][piece], intensities[lit][piece], color, two_sided))
+    return lights
+
+
+def _small_pieces(corners: np.ndarray) -> list[np.ndarray]:
+    """Rows of the triangles of each piece of `LARGEST_RADIUS` at most, or of few triangles."""
+    middles = corners.mean(axis=1)
+    pieces, left = [], [np.arange(len(corners))]
+    while left:
+        rows = left.pop()
+        low, high = corners[rows].min(axis=(0, 1)), corners[rows].max(axis=(0, 1))
+        if len(rows) <= MANY_TRIANGLES or np.linalg.norm(high - low) <= 2 * LARGEST_RADIUS:
+            pieces.append(rows)
+            continue
+        rows = rows[np.argsort(middles[rows, (high - low).argmax()], kind="stable")]
+        left += [rows[len(rows) // 2 :], rows[: len(rows) // 2]]
+    return pieces
 
 
 def _polygons(corners, triangles, chosen, emission, two_sided):

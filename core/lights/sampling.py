@@ -43,9 +43,15 @@ def polygon(vertices: np.ndarray, count: int) -> np.ndarray:
     # The first coordinate picks the triangle of the fan and what is left of it serves again within.
     which = np.minimum(np.searchsorted(share, points[:, 0], side="right"), len(fan) - 1)
     start = np.concatenate([[0.0], share[:-1]])[which]
-    root = np.sqrt(np.clip((points[:, 0] - start) / np.maximum(share[which] - start, 1e-300), 0, 1))
+    left = np.clip((points[:, 0] - start) / np.maximum(share[which] - start, 1e-300), 0, 1)
+    return on_triangles(fan[which], np.column_stack([left, points[:, 1]]))
+
+
+def on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n, 3) places on n triangles (n, 3, 3), uniform where the points (n, 2) are in the unit square."""
+    root = np.sqrt(points[:, 0])
     weights = np.column_stack([1 - root, root * (1 - points[:, 1]), root * points[:, 1]])
-    return np.einsum("ck,cki->ci", weights, fan[which])
+    return np.einsum("nk,nki->ni", weights, triangles)
 
 
 #: Part of the way from the middle to the rim at which scouts look: on the rim itself they would graze the lamp's frame.

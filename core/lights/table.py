@@ -12,6 +12,7 @@ import numpy as np
 
 from .area import AreaLight
 from .light import Light
+from .mesh import MeshLight
 from .spot import SpotLight
 from .sun import SunLight
 
@@ -32,6 +33,10 @@ class LightTable:
                 self.centers[row] = light.vertices.mean(axis=0)
                 self.axes[row] = light.normal
                 self.radii[row] = np.linalg.norm(light.vertices - light.vertices.mean(axis=0), axis=1).max()
+                self.strengths[row] *= light.area / np.pi
+            elif isinstance(light, MeshLight):
+                self.centers[row], self.radii[row] = light.center, light.radius
+                # A body shows each direction at most half of its surface, a sheet all of it.
                 self.strengths[row] *= light.area / np.pi
             elif isinstance(light, SunLight):
                 self.is_sun[row], self.axes[row] = True, light.direction

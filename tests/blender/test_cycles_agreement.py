@@ -45,7 +45,8 @@ def _assert_agreement(obj, fair, samples, rms_tolerance=RMS_TOLERANCE):
 @pytest.mark.parametrize("light", scenes.FLOOR_LIGHTS)
 def test_light_over_a_floor_with_a_blocker_agrees(light):
     floor = scenes.floor_with_blocker(scenes.FLOOR_LIGHTS[light])
-    _assert_agreement(floor, interior_vertices(floor), samples=64)
+    # Half of what Cycles samples on a ring is hidden behind the ring itself.
+    _assert_agreement(floor, interior_vertices(floor), samples=192 if light == "glowing ring" else 64)
 
 
 def test_furnace_agrees_with_cycles_and_with_the_exact_value():

@@ -25,13 +25,14 @@ class BakePlan:
     """How finely to work.
 
     `patches` wanted; rays per sample point of a patch; rays per light in a penumbra; the relative change at which the
-    bounces stop; and how the indirect light is gathered.
+    bounces stop; the part of a patch's light that one ray to the sky may carry; and how the indirect light is gathered.
     """
 
     patches: int
     patch_rays: int
     penumbra_rays: int
     tolerance: float
+    patch_detail: float
     indirect: IndirectSettings
 
 
@@ -44,11 +45,14 @@ def plan_for(accuracy: float) -> BakePlan:
         patch_rays=_rays(32 * effort**0.5, 16, 64),
         penumbra_rays=_rays(64 * effort**0.6, 16, 256),
         tolerance=0.002 * accuracy,
+        # A receiver sees many patches, and their noise with it evens out.
+        patch_detail=max(accuracy, 0.02),
         indirect=IndirectSettings(
             rays=_rays(384 * effort**0.5, 128, 1024),
             spacing=3.0 * effort**0.15,
             levels=3,
             tolerance=0.08 * effort**-0.4,
+            detail=0.5 * accuracy,
         ),
     )
 

@@ -69,7 +69,8 @@ def connected_labels(count: int, edges: np.ndarray) -> np.ndarray:
     return parent
 
 
-def _neighbor_table(count: int, edges: np.ndarray) -> np.ndarray:
+def neighbor_table(count: int, edges: np.ndarray) -> np.ndarray:
+    """(count, MAX_NEIGHBORS) int32 what each item is joined to by undirected edges (e, 2), filled up with itself."""
     table = np.repeat(np.arange(count, dtype=np.int32)[:, None], MAX_NEIGHBORS, axis=1)
     if not len(edges):
         return table
@@ -107,7 +108,7 @@ def _coarsen(
     first = np.searchsorted(clusters[order], np.arange(total))
     between = edges[~inside]
     joined = unique_pairs(clusters[between[:, 0]], clusters[between[:, 1]], max(total, 1))
-    return NodeLevel(spacing, items[order[first]].astype(np.int32), clusters, joined, _neighbor_table(total, joined))
+    return NodeLevel(spacing, items[order[first]].astype(np.int32), clusters, joined, neighbor_table(total, joined))
 
 
 def build_levels(

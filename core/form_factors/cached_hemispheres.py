@@ -40,6 +40,11 @@ def hemisphere_directions(count: int, variants: int = VARIANTS) -> np.ndarray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=2).astype(np.float32)
 
 
+def variants_of(names: np.ndarray) -> np.ndarray:
+    """Variant (n,) of the lattice that receivers with these names (n,) take."""
+    return names % VARIANTS
+
+
 def turns_of(count: int, seed: int) -> np.ndarray:
     """Angles (count,) float32 for `turned_frames`, a well-mixed function of index and seed."""
     # Python integers, cut to 64 bits: NumPy warns when a scalar product wraps.
@@ -241,7 +246,7 @@ def gather(
     lattice = hemisphere_directions(rays)
     names = np.arange(count) if names is None else np.asarray(names)
     turns = turns_of(int(names.max()) + 1 if count else 0, seed)[names]
-    variant = names % VARIANTS
+    variant = variants_of(names)
     starts = (points + np.float32(OFFSET) * normals).astype(np.float32)
     translucent = tracer.veil is not None
 

@@ -9,17 +9,18 @@ economy of irradiance caching (Ward, Rubinstein, Clear 1988) without its search.
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
-from ..discretization.nodes import NodeLevel, build_levels
+from ..discretization.nodes import NodeLevel, build_levels, neighbor_table
 from ..form_factors.cached_hemispheres import gather
 from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+from .closeup import Closeup
 from .interpolation import interpolate
 from .receivers import Receivers
 
@@ -34,23 +35,27 @@ DENSE_RECEIVERS = 1200
 @dataclass(frozen=True)
 class IndirectSettings:
     """How finely to gather: rays per hemisphere, spacing of the coarse nodes in sides of a patch, levels of refinement,
-    and the relative difference above which a level is refined."""
+    the relative difference above which a level is refined, and the part of a receiver's light that a single ray may
+    carry before its neighborhood is looked at closely."""
 
     rays: int
     spacing: float
     levels: int
     tolerance: float
+    detail: float
 
 
 @dataclass
 class IndirectLight:
-    """Irradiance (r, 3) from patches and sky, which receivers are buried, what it took, and whether
-    refinement ended before it was done."""
+    """Irradiance (r, 3) from patches and sky, which receivers are buried, what it took, what was found to be worth a
+    close look and by which receivers (r, k) around each, and whether refinement ended before it was done."""
 
     irradiance: np.ndarray
     buried: np.ndarray
     nodes: int
     rays: int
+    closeup: Closeup
+    around: Callable[[np.ndarray], np.ndarray]
     is_cut_short: bool = False
 
 
@@ -73,17 +78,21 @@ def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarr
 class _Gatherer:
     """Traces hemispheres of receivers, each at most once, and keeps their values."""
 
-    def __init__(self, solution: PatchSolution, receivers: Receivers, rays: int, seed: int):
+    def __init__(self, solution: PatchSolution, receivers: Receivers, rays: int, detail: float, seed: int):
         self.solution, self.receivers, self.rays, self.seed = solution, receivers, rays, seed
         count = len(receivers)
+        self.closeup = Closeup(solution, count, detail)
+        self.spent = 0
         self.values = np.zeros((count, 3), np.float32)
         self.traced = np.zeros(count, bool)
         self.dark = np.zeros(count, np.float32)
         self.distances = np.zeros(count, np.float32)
 
-    def trace(self, who: np.ndarray) -> Generator[float, None, None]:
-        """Gather at receivers `who` (n,) that are not traced yet, in blocks of bounded memory."""
-        who = who[~self.traced[who]]
+    def trace(self, who: np.ndarray, around: np.ndarray) -> Generator[float, None, None]:
+        """Gather at receivers `who` (n,) that are not traced yet, in blocks of bounded memory; `around` (n, k) are
+        receivers near each, which know what is bright there."""
+        new = ~self.traced[who]
+        who, around = who[new], around[new]
         block = max(1, 4_000_000 // self.rays)
         solution = self.solution
         for start in range(0, len(who), block):
@@ -105,6 +114,14 @@ class _Gatherer:
             self.dark[part] = solution.dark_rows()[seen.rows].mean(axis=1)
             self.distances[part] = seen.distances
             self.traced[part] = True
+            self.spent += self.rays * len(part)
+            normals = self.receivers.normals[part]
+            self.closeup.note(part, normals, seen.rows, self.values[part], self.seed)
+            marked = self.closeup.marked(part, normals, around[start : start + block])
+            points = self.receivers.points[part]
+            better = self.closeup.values(points, normals, seen.rows, marked, self.values[part], part, self.seed)
+            self.values[part], rays = yield from better
+            self.spent += rays
 
     @property
     def count(self) -> int:
@@ -129,11 +146,13 @@ def indirect_light(
     deadline : float
         Of `time.perf_counter`; no further level of refinement is started after it.
     """
-    gatherer = _Gatherer(solution, receivers, settings.rays, seed)
+    gatherer = _Gatherer(solution, receivers, settings.rays, settings.detail, seed)
     count = len(receivers)
     if count <= DENSE_RECEIVERS:
-        yield from gatherer.trace(np.arange(count))
-        return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, count * settings.rays)
+        near = _two_rings(neighbor_table(count, edges))
+        yield from gatherer.trace(np.arange(count), near)
+        buried = gatherer.dark > BURIED
+        return IndirectLight(gatherer.values, buried, count, gatherer.spent, gatherer.closeup, near.__getitem__)
     spacing = solution.patches.spacing * settings.spacing
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
     values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
@@ -143,7 +162,11 @@ def indirect_light(
     )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
     buried = ~(found & valid[finest.clusters])
-    return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays, is_cut_short)
+
+    def around(who: np.ndarray) -> np.ndarray:
+        return finest.nodes[_two_rings(finest.neighbors, finest.clusters[who])]
+
+    return IndirectLight(irradiance, buried, gatherer.count, gatherer.spent, gatherer.closeup, around, is_cut_short)
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:
@@ -163,7 +186,7 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
     receivers = gatherer.receivers
     level = levels[0]
     share = 1 / len(levels)
-    yield from shared_progress(gatherer.trace(level.nodes), 0.0, share)
+    yield from shared_progress(gatherer.trace(level.nodes, level.nodes[_two_rings(level.neighbors)]), 0.0, share)
     values = gatherer.values[level.nodes]
     valid = gatherer.dark[level.nodes] <= BURIED
     rough = _contrast(level, values, valid) > settings.tolerance
@@ -182,8 +205,10 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
             gatherer.solution.pool,
         )
         is_late = time.perf_counter() > deadline
-        chosen = finer.nodes[(wanted[parents] & (not is_late)) | ~found]
-        yield from shared_progress(gatherer.trace(chosen), depth * share, (depth + 1) * share)
+        chosen = np.flatnonzero((wanted[parents] & (not is_late)) | ~found)
+        above = level.nodes[np.concatenate([parents[chosen, None], level.neighbors[parents[chosen]]], axis=1)]
+        around = np.concatenate([finer.nodes[_two_rings(finer.neighbors, chosen)], above], axis=1)
+        yield from shared_progress(gatherer.trace(finer.nodes[chosen], around), depth * share, (depth + 1) * share)
         known = gatherer.traced[finer.nodes]
         values = np.where(known[:, None], gatherer.values[finer.nodes], guess)
         valid = np.where(known, gatherer.dark[finer.nodes] <= BURIED, found)
@@ -192,6 +217,12 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
         rough = known & found & (error > settings.tolerance)
         level = finer
     return values, valid, time.perf_counter() > deadline
+
+
+def _two_rings(neighbors: np.ndarray, who: np.ndarray | None = None) -> np.ndarray:
+    """Neighbors of the neighbors (n, k * k) of items `who` (n,), all by default, by the table (m, k) of neighbors."""
+    near = neighbors if who is None else neighbors[who]
+    return neighbors[near].reshape(len(near), neighbors.shape[1] ** 2)
 
 
 def _contrast(level: NodeLevel, values: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from ..form_factors.cached_hemispheres import gather
 from ..lights.direct_light import direct_light
 from ..progress import finish
 from ..solvers.patch_solution import PatchSolution
+from .indirect_light import IndirectLight
 from .receivers import Receivers
 
 #: Receivers that are done again, and by what factor their rays grow. Their own error is then half of what is measured,
@@ -21,14 +22,14 @@ MAX_RAYS = 400_000
 
 
 def probe_error(
-    solution: PatchSolution, receivers: Receivers, light: np.ndarray, buried: np.ndarray, plan: BakePlan, seed: int
+    solution: PatchSolution, receivers: Receivers, light: np.ndarray, indirect: IndirectLight, plan: BakePlan, seed: int
 ) -> tuple[float, int]:
     """Relative RMS error of irradiance, estimated, and the rays it took.
 
     Differences are taken over receivers and channels and divided by the mean irradiance. The error of the patches
     themselves is shared by both sides and does not show.
     """
-    candidates = np.nonzero(~buried)[0]
+    candidates = np.nonzero(~indirect.buried)[0]
     if not len(candidates):
         return 0.0, 0
     hemisphere, shadow = FACTOR * plan.indirect.rays, FACTOR * plan.penumbra_rays
@@ -46,8 +47,11 @@ def probe_error(
     seen = finish(
         gather(solution.tracer, solution.hits_to_rows, points, normals, hemisphere, solution.pool, seed + 7919)
     )
-    better = lit + seen.irradiance(solution.table())
+    even, names = seen.irradiance(solution.table()), np.arange(count)
+    marked = indirect.closeup.marked(chosen, normals, indirect.around(chosen))
+    gathered, closer = finish(indirect.closeup.values(points, normals, seen.rows, marked, even, names, seed + 7919))
+    better = lit + gathered
     baked = light[chosen, :3] + light[chosen, 3:]
     mean = float(baked.mean())
     error = float(np.sqrt(((baked - better) ** 2).mean()))
-    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count
+    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count + closer

@@ -17,7 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..discretization.patches import POINTS, Patches
+from ..form_factors.bright_directions import MOST, BrightDirections, sharpen
 from ..form_factors.cached_hemispheres import Gathered, HitTable, gather
+from ..keys import along_curve
 from ..lights import Light
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
@@ -39,6 +41,9 @@ MAX_SWEEPS = 200
 #: Bounces among backs that only receivers see.
 LATE_BOUNCES = 3
 
+#: Patches before and after each along a curve through all that are asked where the sky is.
+ASKED = 4
+
 #: Earlier steps that Anderson's acceleration looks back on.
 MEMORY = 5
 
@@ -59,7 +64,8 @@ class PatchSolution:
 
     `radiosity` (2P, 3) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
     `irradiance` (2P, 3) is what arrives. The solver stops when a bounce changes the radiosity by less than `tolerance`,
-    RMS by area, relative to the RMS of the radiosity.
+    RMS by area, relative to the RMS of the radiosity. `detail` is the part of a point's light that a single ray to the
+    sky may carry before its neighborhood is looked at closely.
     """
 
     tracer: Tracer
@@ -73,6 +79,7 @@ class PatchSolution:
     pool: RayPool
     seed: int
     tolerance: float
+    detail: float
     radiosity: np.ndarray = field(init=False)
     irradiance: np.ndarray = field(init=False)
     buried: np.ndarray = field(init=False)
@@ -165,12 +172,51 @@ class PatchSolution:
         ring = _rings(len(rows))
         work = direct_light(self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed)
         direct, rays = yield from shared_progress(work, 0.0, 0.5)
-        work = gather(self.tracer, self.hits_to_rows, points, normals, self.rays, self.pool, self.seed + int(rows[0]))
-        seen = yield from shared_progress(work, 0.5, 1.0)
+        seed = self.seed + int(rows[0])
+        work = gather(self.tracer, self.hits_to_rows, points, normals, self.rays, self.pool, seed)
+        seen = yield from shared_progress(work, 0.5, 0.9)
         self.rays_traced += rays + self.rays * len(points)
+        if self.hits_to_rows.sky is not None:
+            yield from shared_progress(self._see_sky(points, normals, seen, direct, seed), 0.9, 1.0)
         self._sides.append(_Side(rows, direct.reshape(-1, POINTS, 3), seen, np.ones((len(rows), POINTS), bool)))
         self._met[seen.rows] = True
         self.active[rows] = True
+
+    def _see_sky(self, points, normals, seen: Gathered, direct: np.ndarray, seed: int) -> Generator[float, None, None]:
+        """Where a small part of the sky is seen, look closely, and add to the direct light (n, 3) what the even sample
+        is wrong by: patches in a room with a window are all that brings its light further in."""
+        sky = self.hits_to_rows.table(np.zeros_like(self.radiosity))
+        even = seen.irradiance(sky)
+        level = even.max(axis=1) + direct.max(axis=1)
+        if not level.any():
+            return
+        level = np.maximum(level, level.mean())
+        bright = sky[:, :3].max(axis=1)[seen.rows] > (self.detail * self.rays * level)[:, None]
+        names = np.arange(len(points))
+        known = BrightDirections(len(points))
+        known.note(names, normals, bright, names, seed)
+        # One look a patch, from its middle: light through a window changes little within it.
+        middles = names[::POINTS]
+        marked = known.around(middles, normals[middles], _near_points(points))
+        chosen = np.flatnonzero(marked.any(axis=1) & (marked.mean(axis=1) <= MOST))
+        middles = middles[chosen]
+        values, rays = yield from sharpen(
+            self.tracer,
+            self.hits_to_rows,
+            lambda rows: sky[rows, :3],
+            points[middles],
+            normals[middles],
+            seen.rows[middles],
+            marked[chosen],
+            self.detail * level[middles],
+            float(sky[:, :3].max()),
+            middles,
+            seed,
+            self.pool,
+        )
+        patches = direct.reshape(-1, POINTS, 3)
+        patches[chosen] += (values - even.reshape(-1, POINTS, 3)[chosen].mean(axis=1))[:, None]
+        self.rays_traced += rays
 
     def _find_enclosed(self, sides: list[_Side]) -> None:
         """Mark the patches of these sides that no light reaches and that see nothing but such patches.
@@ -301,6 +347,17 @@ def _share(marked: np.ndarray, rows: np.ndarray, which: np.ndarray) -> np.ndarra
         seen = marked[rows[which[start : start + block]]]
         out[start : start + block] = seen.sum(axis=1, dtype=np.int32) / np.float32(rows.shape[1])
     return out
+
+
+def _near_points(points: np.ndarray) -> np.ndarray:
+    """(n, k) numbers of the points of each patch and of those before and after it along a curve; twice does no harm."""
+    patches = len(points) // POINTS
+    order = along_curve(points.reshape(-1, POINTS, 3)[:, 0])
+    rank = np.empty(patches, np.int64)
+    rank[order] = np.arange(patches)
+    window = np.clip(rank[:, None] + np.arange(-ASKED, ASKED + 1), 0, patches - 1)
+    near = (order[window][:, :, None] * POINTS + np.arange(POINTS)).reshape(patches, -1)
+    return near
 
 
 def _rings(count: int) -> np.ndarray:

@@ -173,7 +173,7 @@ def _background(context: bpy.types.Context, world_strength: float | None) -> tup
     """Colors behind the scene, and whether they are light: the sky of the bake, or neutral where it is black."""
     # A view layer may have a world of its own from Blender 5.0 on.
     world = getattr(context.view_layer, "world_override", None) or context.scene.world
-    sky, _warnings = read_world(world, ImageLibrary(), world_strength)
+    sky, _suns, _warnings = read_world(world, ImageLibrary(), world_strength)
     return (np.array(_BACKGROUND), False) if sky is None else (sky.radiance, True)
 
 

@@ -88,14 +88,14 @@ def read_scene(
         surfaces = build_surfaces(reader.placements)
         meshes, retopologized = read_receivers(context, choice.objects, reader.materials)
         world = getattr(context.view_layer, "world_override", None) or context.scene.world  # override from Blender 5.0
-        sky, world_warnings = read_world(world, reader.images, world_strength)
+        sky, suns, world_warnings = read_world(world, reader.images, world_strength)
     warnings = [*reader.warnings(), *world_warnings]
     if retopologized:
         warnings.append(
             f"Modifiers that change the topology: light is baked on the base mesh of {join_names(retopologized)}"
         )
     warnings += _image_warnings(reader.images)
-    scene = Scene(surfaces, tuple(meshes), tuple(reader.lights), sky, tuple(warnings))
+    scene = Scene(surfaces, tuple(meshes), (*reader.lights, *suns), sky, tuple(warnings))
     counts = {
         **reader.counts(),
         "triangles": len(surfaces.triangles),

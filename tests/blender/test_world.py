@@ -81,19 +81,22 @@ def test_hemisphere_integral_of_environment_is_kept(turn):
     world, background = make_world()
     background.inputs["Strength"].default_value = 1.5
     add_environment(world, background, make_image(pixels), (0.0, 0.0, turn))
-    sky, warnings = read_world(world, ImageLibrary())
+    sky, (sun,), warnings = read_world(world, ImageLibrary())
     assert warnings == []
     direction, solid_angle = texel_directions(*pixels.shape[:2])
     exact = np.einsum("rck,rc->k", pixels, solid_angle) * 1.5
-    found = sky.radiance.mean((0, 1)) * 4 * pi
+    found = sky.radiance.mean((0, 1)) * 4 * pi + sun.irradiance
     np.testing.assert_allclose(found, exact, rtol=1e-4)  # float32 look-ups and a turn by parts of a texel
     up = np.maximum(direction[..., 2], 0)
     exact_up = np.einsum("rck,rc->k", pixels, solid_angle * up) * 1.5
     cosine = np.maximum(cell_directions()[..., 2:], 0)
     found_up = (sky.radiance * cosine).mean((0, 1)) * 4 * pi
-    # The hot texel counts with the cosine of its cell's center, half a cell or 1/64 of its share away at most.
-    share = pixels[..., 0].max() * solid_angle[int(0.7 * 256), 0] * 1.5
-    np.testing.assert_allclose(found_up, exact_up, atol=share / 64 + 1e-3 * exact_up.max())
+    found_up += sun.irradiance * sun.direction[2]
+    # A turned map is looked up by parts of a texel, 1/80 of the cosine each.
+    np.testing.assert_allclose(found_up, exact_up, rtol=1e-3 if turn == 0 else 5e-3)
+    # As large as the texel is.
+    size = 2 * pi * (1 - np.cos(sun.angle / 2))
+    assert size == pytest.approx(solid_angle[int(0.7 * 256), 0], rel=0.01 if turn == 0 else 1.0)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.1])
@@ -101,20 +104,20 @@ def test_hot_pixel_stands_where_the_render_shows_it(turn):
     pixels = hot_sky()
     world, background = make_world()
     add_environment(world, background, make_image(pixels), (0.0, 0.0, turn))
-    sky, _ = read_world(world, ImageLibrary())
-    brightest = cell_directions()[np.unravel_index(sky.radiance[..., 0].argmax(), sky.radiance.shape[:2])]
+    sky, (sun,), _ = read_world(world, ImageLibrary())
+    assert sky.radiance.max() < 2  # nothing of it is left
     expected = texel_directions(256, 512)[0][int(0.7 * 256), int(0.3 * 512)]
     # Mapping turns the direction that is looked up, so the picture turns the other way.
     cos, sin = np.cos(-turn), np.sin(-turn)
     expected = np.array([cos * expected[0] - sin * expected[1], sin * expected[0] + cos * expected[1], expected[2]])
-    assert brightest @ expected > np.cos(0.05)  # within a cell, whose side is 2.8 degrees = 0.049
+    assert sun.direction @ expected > np.cos(pi / 256)  # within a texel
 
 
 def test_uniform_background_is_one_cell():
     world, background = make_world()
     background.inputs["Color"].default_value = (0.2, 0.4, 0.6, 1)
     background.inputs["Strength"].default_value = 2.0
-    sky, _ = read_world(world, ImageLibrary())
+    sky, _, _ = read_world(world, ImageLibrary())
     np.testing.assert_allclose(sky.radiance, [[[0.4, 0.8, 1.2]]], rtol=1e-6)
 
 
@@ -125,12 +128,12 @@ def test_world_strength_replaces_the_backgrounds(color, expected):
     world, background = make_world()
     background.inputs["Color"].default_value = color
     background.inputs["Strength"].default_value = 17.0
-    sky, _ = read_world(world, ImageLibrary(), 3.0)
+    sky, _, _ = read_world(world, ImageLibrary(), 3.0)
     np.testing.assert_allclose(sky.radiance, [[expected]], rtol=1e-6)
 
 
 def test_world_strength_lights_a_scene_without_world_in_white():
-    sky, _ = read_world(None, ImageLibrary(), 2.5)
+    sky, _, _ = read_world(None, ImageLibrary(), 2.5)
     np.testing.assert_array_equal(sky.radiance, np.full((1, 1, 3), 2.5))
 
 
@@ -154,7 +157,7 @@ def test_camera_only_background_does_not_light():
     tree.links.new(seen.outputs[0], mix.inputs[2])
     output = next(node for node in tree.nodes if node.bl_idname == 'ShaderNodeOutputWorld')
     tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    sky, _ = read_world(world, ImageLibrary())
+    sky, _, _ = read_world(world, ImageLibrary())
     np.testing.assert_allclose(sky.radiance, [[[0.1, 0.2, 0.3]]], rtol=1e-6)
 
 
@@ -162,7 +165,7 @@ def test_noise_in_the_world_is_named():
     world, background = make_world()
     noise = world.node_tree.nodes.new('ShaderNodeTexNoise')
     world.node_tree.links.new(noise.outputs["Color"], background.inputs["Color"])
-    sky, warnings = read_world(world, ImageLibrary())
+    sky, _, warnings = read_world(world, ImageLibrary())
     assert sky.radiance.shape == (1, 1, 3)
     assert len(warnings) == 1
     assert "World" in warnings[0]
@@ -175,7 +178,7 @@ def test_floor_under_a_turned_environment_agrees_with_cycles():
     pixels = np.maximum(0.5 + 0.4 * direction + 0.5 * direction[..., ::-1] ** 3, 0)
     world, background = make_world()
     add_environment(world, background, make_image(pixels), (0.4, -0.3, 0.8))
-    sky, _ = read_world(world, ImageLibrary())
+    sky, _, _ = read_world(world, ImageLibrary())
     normals = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
     cosines = np.maximum(normals @ cell_directions().reshape(-1, 3).T, 0)
     ours = cosines @ sky.radiance.reshape(-1, 3) * 4 / (SKY_ROWS * SKY_COLUMNS)  # times 4 pi, over pi

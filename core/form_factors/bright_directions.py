@@ -160,11 +160,14 @@ class _Divided:
             spent += len(places)
             differ = np.zeros(len(asked), bool)
             if not is_last:
-                brightness = found.max(axis=2)
-                differ = (brightness.max(axis=1) - brightness.min(axis=1)) * weight > limits[asked]
+                # By columns: a reduction along so short an axis takes ten times as long.
+                one, two, three, four = np.maximum(np.maximum(found[..., 0], found[..., 1]), found[..., 2]).T
+                most = np.maximum(np.maximum(one, two), np.maximum(three, four))
+                least = np.minimum(np.minimum(one, two), np.minimum(three, four))
+                differ = (most - least) * weight > limits[asked]
                 differ |= _touched(asked, corner[~coarse], differ, round(1 / width))
             for channel in range(3):
-                amounts = found[~differ, :, channel].sum(axis=1) * weight
+                amounts = found[~differ, :, channel] @ np.full(4, weight)
                 total[:, channel] += np.bincount(asked[~differ], weights=amounts, minlength=len(marked))
             corner = np.concatenate([_quarters(corner[coarse]), places.reshape(-1, 4, 2)[differ].reshape(-1, 2)])
             who = np.repeat(np.concatenate([who[coarse], asked[differ]]), 4)
@@ -182,8 +185,8 @@ class _Divided:
             who, corner = owner[start:stop], corners[start:stop]
             mixed = row_keys(self.names[who], corner[:, 0] * steps + corner[:, 1], np.full(len(who), self.seed + steps))
             jitter = np.stack([mixed >> np.uint64(44), (mixed >> np.uint64(24)) & np.uint64(0xFFFFF)], axis=1) / 2**20
-            local = _lifted(square_to_disk((corner + jitter) * width))
-            directions = _to_world(local, self.normals[who]).astype(np.float32)
+            local = _lifted(square_to_disk(((corner + jitter) * width).astype(np.float32)))
+            directions = _to_world(local, self.normals[who]).astype(np.float32, copy=False)
             luck = None
             if self.tracer.veil is not None:
                 luck = ((mixed & np.uint64(0xFFFFF)) / 2**20).astype(np.float32)
@@ -211,7 +214,8 @@ def _cells(disk: np.ndarray) -> np.ndarray:
 
 def _lifted(disk: np.ndarray) -> np.ndarray:
     """Unit directions (n, 3) above places (n, 2) in the disk."""
-    return np.concatenate([disk, np.sqrt(np.maximum(1 - (disk**2).sum(axis=1, keepdims=True), 0))], axis=1)
+    height = np.sqrt(np.maximum(1 - disk[:, 0] ** 2 - disk[:, 1] ** 2, 0))
+    return np.concatenate([disk, height[:, None]], axis=1)
 
 
 def _to_world(local: np.ndarray, normals: np.ndarray) -> np.ndarray:

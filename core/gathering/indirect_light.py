@@ -21,6 +21,7 @@ from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from .interpolation import interpolate
+from .near_field import has_near_field, near_field, paths_for
 from .receivers import Receivers
 
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
@@ -80,6 +81,7 @@ class _Gatherer:
         self.traced = np.zeros(count, bool)
         self.dark = np.zeros(count, np.float32)
         self.distances = np.zeros(count, np.float32)
+        self.spent = 0
 
     def trace(self, who: np.ndarray) -> Generator[float, None, None]:
         """Gather at receivers `who` (n,) that are not traced yet, in blocks of bounded memory."""
@@ -88,21 +90,22 @@ class _Gatherer:
         solution = self.solution
         for start in range(0, len(who), block):
             part = who[start : start + block]
+            points, normals = self.receivers.points[part], self.receivers.normals[part]
             work = gather(
-                solution.tracer,
-                solution.hits_to_rows,
-                self.receivers.points[part],
-                self.receivers.normals[part],
-                self.rays,
-                solution.pool,
-                self.seed,
-                names=part,
+                solution.tracer, solution.hits_to_rows, points, normals, self.rays, solution.pool, self.seed, names=part
             )
-            seen = yield from shared_progress(work, start / len(who), (start + len(part)) / len(who))
+            begin, end = start / len(who), (start + len(part)) / len(who)
+            seen = yield from shared_progress(work, begin, (begin + end) / 2)
             if solution.meet(seen.rows):
                 yield from solution.follow()
+            dark = solution.dark_rows()[seen.rows].mean(axis=1)
+            close = np.nonzero(has_near_field(solution, seen.distances) & (dark <= BURIED))[0]
+            work = near_field(solution, points[close], normals[close], paths_for(self.rays), part[close], self.seed)
+            correction, spent = yield from shared_progress(work, (begin + end) / 2, end)
+            self.spent += self.rays * len(part) + spent
             self.values[part] = seen.irradiance(solution.table())
-            self.dark[part] = solution.dark_rows()[seen.rows].mean(axis=1)
+            self.values[part[close]] = np.maximum(self.values[part[close]] + correction, 0)
+            self.dark[part] = dark
             self.distances[part] = seen.distances
             self.traced[part] = True
 
@@ -133,7 +136,7 @@ def indirect_light(
     count = len(receivers)
     if count <= DENSE_RECEIVERS:
         yield from gatherer.trace(np.arange(count))
-        return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, count * settings.rays)
+        return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, gatherer.spent)
     spacing = solution.patches.spacing * settings.spacing
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
     values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
@@ -143,7 +146,7 @@ def indirect_light(
     )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
     buried = ~(found & valid[finest.clusters])
-    return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays, is_cut_short)
+    return IndirectLight(irradiance, buried, gatherer.count, gatherer.spent, is_cut_short)
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:

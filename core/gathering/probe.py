@@ -9,6 +9,7 @@ from ..form_factors.cached_hemispheres import gather
 from ..lights.direct_light import direct_light
 from ..progress import finish
 from ..solvers.patch_solution import PatchSolution
+from .near_field import near_field, paths_for
 from .receivers import Receivers
 
 #: Receivers that are done again, and by what factor their rays grow. Their own error is then half of what is measured,
@@ -46,8 +47,10 @@ def probe_error(
     seen = finish(
         gather(solution.tracer, solution.hits_to_rows, points, normals, hemisphere, solution.pool, seed + 7919)
     )
-    better = lit + seen.irradiance(solution.table())
+    # By twice the paths: the near field is a small part, or else it is dim.
+    near, spent = finish(near_field(solution, points, normals, 2 * paths_for(plan.indirect.rays), chosen, seed + 7919))
+    better = lit + np.maximum(seen.irradiance(solution.table()) + near, 0)
     baked = light[chosen, :3] + light[chosen, 3:]
     mean = float(baked.mean())
     error = float(np.sqrt(((baked - better) ** 2).mean()))
-    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count
+    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count + spent

@@ -30,6 +30,10 @@ BURIED = 0.8
 #: A point is enclosed when this part of its rays meets enclosed patches: all but what slips through cracks.
 ENCLOSED = 0.95
 
+#: Patches whose sample points lie within this part of the wanted side of a patch are sampled at their middle only: a
+#: triangle or cell of a quarter of that side, whose light is one to all that do not stand close.
+SMALL = 0.1
+
 #: Rounds of looking which patches stay enclosed when others turn out not to be; a solid settles in two or three.
 MAX_ROUNDS = 30
 
@@ -40,17 +44,22 @@ MAX_SWEEPS = 200
 LATE_BOUNCES = 3
 
 #: Earlier steps that Anderson's acceleration looks back on.
-MEMORY = 5
+MEMORY = 8
 
 
 @dataclass
 class _Side:
-    """Sample points of patches worked on: rows of the table, their light, and what they see."""
+    """Patches worked on, by k sample points each: rows of the table, their light, and what they see."""
 
     rows: np.ndarray
-    direct: np.ndarray  # (n, POINTS, 3)
-    seen: Gathered  # of n * POINTS points
-    kept: np.ndarray  # (n, POINTS) bool: not buried
+    direct: np.ndarray  # (n, k, 3)
+    seen: Gathered  # of n * k points
+    kept: np.ndarray  # (n, k) bool: not buried
+
+    @property
+    def each(self) -> int:
+        """Sample points per patch."""
+        return self.kept.shape[1]
 
 
 @dataclass
@@ -78,6 +87,7 @@ class PatchSolution:
     buried: np.ndarray = field(init=False)
     active: np.ndarray = field(init=False)
     _met: np.ndarray = field(init=False)
+    _small: np.ndarray = field(init=False)
     enclosed: np.ndarray = field(init=False)
     sweeps: int = 0
     residual: float = 0.0
@@ -91,6 +101,8 @@ class PatchSolution:
         self.active = np.zeros(2 * count, bool)
         self.buried = np.zeros(2 * count, bool)
         self._met = np.zeros(self.hits_to_rows.rows, bool)
+        apart = np.linalg.norm(self.patches.points - self.patches.points[:, :1], axis=2).max(axis=1)
+        self._small = apart < SMALL * self.patches.spacing
         self.enclosed = np.zeros(2 * count, bool)
 
     @property
@@ -143,7 +155,7 @@ class PatchSolution:
         for side in sides:
             self.irradiance[side.rows] = _arriving(side, table)
             self.radiosity[side.rows] = (
-                self.emitted[side.rows] + self._reflectances[side.rows] * self.irradiance[side.rows]
+                self.emitted[side.rows] + self.reflectances[side.rows] * self.irradiance[side.rows]
             )
 
     def meet(self, rows: np.ndarray) -> bool:
@@ -157,20 +169,30 @@ class PatchSolution:
         return count + np.nonzero(self._met[count : 2 * count] & ~self.active[count:])[0]
 
     def _activate(self, rows: np.ndarray) -> Generator[float, None, None]:
+        small = self._small[rows % self.patches.count]
+        done = 0
+        for part, each in ((rows[~small], POINTS), (rows[small], 1)):
+            if len(part):
+                share = len(part) * each / (len(rows) * POINTS)
+                yield from shared_progress(self._sample(part, each), done, done + share)
+                done += share
+        self.active[rows] = True
+
+    def _sample(self, rows: np.ndarray, each: int) -> Generator[float, None, None]:
+        """Gather at the first `each` sample points of the patches."""
         count = self.patches.count
         patch = rows % count
-        points = self.patches.points[patch].reshape(-1, 3)
-        normals = self.patches.normals[patch] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
+        points = np.ascontiguousarray(self.patches.points[patch, :each].reshape(-1, 3))
+        normals = self.patches.normals[patch, :each] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
         normals = np.ascontiguousarray(normals.reshape(-1, 3))
-        ring = _rings(len(rows))
+        ring = _rings(len(rows), each)
         work = direct_light(self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed)
         direct, rays = yield from shared_progress(work, 0.0, 0.5)
         work = gather(self.tracer, self.hits_to_rows, points, normals, self.rays, self.pool, self.seed + int(rows[0]))
         seen = yield from shared_progress(work, 0.5, 1.0)
         self.rays_traced += rays + self.rays * len(points)
-        self._sides.append(_Side(rows, direct.reshape(-1, POINTS, 3), seen, np.ones((len(rows), POINTS), bool)))
+        self._sides.append(_Side(rows, direct.reshape(-1, each, 3), seen, np.ones((len(rows), each), bool)))
         self._met[seen.rows] = True
-        self.active[rows] = True
 
     def _find_enclosed(self, sides: list[_Side]) -> None:
         """Mark the patches of these sides that no light reaches and that see nothing but such patches.
@@ -192,7 +214,7 @@ class PatchSolution:
                 stays = _share(inside, side.seen.rows, points) >= ENCLOSED
                 candidates[number] = points[stays]
                 still = np.zeros(len(side.rows), bool)
-                still[points[stays] // POINTS] = True
+                still[points[stays] // side.each] = True
                 is_settled &= bool(stays.all())
                 inside[side.rows] = still
             if is_settled:
@@ -202,7 +224,7 @@ class PatchSolution:
     def _find_buried(self, sides: list[_Side]) -> None:
         dark = self.dark_rows()
         for side in sides:
-            share = _share(dark, side.seen.rows, np.arange(len(side.seen.rows))).reshape(-1, POINTS)
+            share = _share(dark, side.seen.rows, np.arange(len(side.seen.rows))).reshape(-1, side.each)
             kept = share <= BURIED
             gone = ~kept.any(axis=1)
             self.buried[side.rows[gone]] = True
@@ -218,7 +240,7 @@ class PatchSolution:
 
     def _iterate(self, tolerance: float) -> Generator[float, None, None]:
         """Fixed point of B = E + rho (D + F B), by Anderson's acceleration of Jacobi sweeps (Walker and Ni 2011)."""
-        rho = self._reflectances
+        rho = self.reflectances
         emitted = self.emitted
         radiosity = self.radiosity
         steps: list[np.ndarray] = []
@@ -245,7 +267,8 @@ class PatchSolution:
         return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
 
     @property
-    def _reflectances(self) -> np.ndarray:
+    def reflectances(self) -> np.ndarray:
+        """(2P, 3) reflectance of fronts and backs; those inside solids are black."""
         back = self.reflectance * (self.two_sided & ~self.enclosed[self.patches.count :])[:, None]
         return np.concatenate([self.reflectance, back]).astype(np.float32)
 
@@ -255,8 +278,8 @@ class PatchSolution:
         return np.concatenate([self.emission, self.emission * self.two_sided[:, None]]).astype(np.float32)
 
     def gathered_sides(self) -> Iterator[tuple[np.ndarray, np.ndarray, Gathered, np.ndarray]]:
-        """For each batch worked on: its rows (n,), direct light (n, POINTS, 3), what its points see, and which of them
-        (n, POINTS) count."""
+        """For each batch worked on: its rows (n,), direct light (n, k, 3), what its points see, and which of them
+        (n, k) count."""
         for side in self._sides:
             yield side.rows, side.direct, side.seen, side.kept
 
@@ -273,11 +296,12 @@ def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarr
     out = np.empty_like(steps[-1])
     for channel in range(3):
         last = changes[-1][:, channel].astype(np.float64)
-        differences = np.stack([last - c[:, channel] for c in changes[:-1]], axis=1)
-        # Normal equations with a small tie: at most 4 unknowns, and nearly parallel changes must not blow up.
-        normal = differences.T @ differences
+        differences = np.stack([last - c[:, channel] for c in changes[:-1]])
+        # Normal equations with a small tie: few unknowns, and nearly parallel changes must not blow up. By einsum: a
+        # matrix product of this shape waits for threads longer than it works.
+        normal = np.einsum("ki,li->kl", differences, differences)
         normal += np.eye(len(normal)) * (1e-10 * np.trace(normal) + 1e-300)
-        mix = np.linalg.solve(normal, differences.T @ last)
+        mix = np.linalg.solve(normal, np.einsum("ki,i->k", differences, last))
         mixed = steps[-1][:, channel].astype(np.float64)
         for weight, step in zip(mix, steps[:-1], strict=True):
             mixed = mixed + weight * (step[:, channel] - steps[-1][:, channel])
@@ -287,7 +311,7 @@ def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarr
 
 def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:
     """(n, 3) irradiance of the patches of one side, means over the points that are not buried."""
-    arriving = side.direct + side.seen.irradiance(table).reshape(-1, POINTS, 3)
+    arriving = side.direct + side.seen.irradiance(table).reshape(side.direct.shape)
     weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
     return np.einsum("npk,np->nk", arriving, weight)
 
@@ -303,7 +327,7 @@ def _share(marked: np.ndarray, rows: np.ndarray, which: np.ndarray) -> np.ndarra
     return out
 
 
-def _rings(count: int) -> np.ndarray:
-    """Edges between the sample points of each of `count` patches: the middle one to the three others."""
-    start = np.arange(count, dtype=np.int32)[:, None] * POINTS
-    return np.stack([np.repeat(start, 3, axis=1), start + np.arange(1, POINTS)], axis=2).reshape(-1, 2)
+def _rings(count: int, each: int) -> np.ndarray:
+    """Edges between the `each` sample points of each of `count` patches: the middle one to the others."""
+    start = np.arange(count, dtype=np.int32)[:, None] * each
+    return np.stack([np.repeat(start, each - 1, axis=1), start + np.arange(1, each)], axis=2).reshape(-1, 2)

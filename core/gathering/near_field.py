@@ -32,6 +32,9 @@ from ..visibility.embree import CHUNK_RAYS, OFFSET
 #: cuts gives too much here is what the next one gives too little; at one, a gap still got a third too much.
 REACH = 2.0
 
+#: From the first stop on the reach is this many times less: a path's error is one of many there, and dimmed.
+LATER = np.float32(2)
+
 #: Stops of a path at most: then the patch is trusted after all.
 MAX_STOPS = 16
 
@@ -43,7 +46,7 @@ MOST_LIGHTS = 6
 SHORT = 4 * OFFSET
 
 #: What is left of a path's light when the patch is trusted after all.
-FAINT = 0.02
+FAINT = 0.05
 
 #: A receiver has a near field when the harmonic mean distance of its hits is less than this many times the largest
 #: reach: an eighth of its rays may end within it.
@@ -99,6 +102,7 @@ def near_field(
         table = solution.table()[:, :3]
         near = distances < reach[rows]
         if stop == 0:
+            reach /= LATER
             # The patches' own answer is there already.
             _add(out, owners[near], -table[rows[near]])
         else:

@@ -54,6 +54,10 @@ def turns_of(count: int, seed: int) -> np.ndarray:
     return ((index >> np.uint64(40)).astype(np.float32) * np.float32(2 * np.pi / 2**24)).astype(np.float32)
 
 
+#: Rays whose radiosities are averaged at once. OpenBLAS shares a product of more than 2^18 multiplications out among
+#: threads, and each ray takes 12; this many also stay in the cache.
+PRODUCT_RAYS = 16384
+
 #: What of a hit a look-up needs.
 _USED = ("primID", "u", "v", "Ng", "tfar")
 
@@ -208,8 +212,9 @@ class Gathered:
         """(n, 3) float32 mean of the table over the directions, in blocks of bounded memory."""
         count, rays = self.rows.shape
         out = np.empty((count, 3), np.float32)
-        block = max(1, 4 * CHUNK_RAYS // max(rays, 1))
-        # The mean as a matrix product: several times faster than a reduction over the middle axis.
+        # The mean as a matrix product: several times faster than a reduction over the middle axis. Blocks are so small
+        # that the product is no work for threads of its own: on a busy machine those wait for each other.
+        block = max(1, PRODUCT_RAYS // max(rays, 1))
         mean = np.tile(np.eye(4, 3, dtype=np.float32) / np.float32(rays), (rays, 1))
         for start in range(0, count, block):
             seen = table.take(self.rows[start : start + block], axis=0)

@@ -22,6 +22,7 @@ from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from .closeup import Closeup
 from .interpolation import interpolate
+from .near_field import has_near_field, near_field, paths_for
 from .receivers import Receivers
 
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
@@ -82,11 +83,11 @@ class _Gatherer:
         self.solution, self.receivers, self.rays, self.seed = solution, receivers, rays, seed
         count = len(receivers)
         self.closeup = Closeup(solution, count, detail)
-        self.spent = 0
         self.values = np.zeros((count, 3), np.float32)
         self.traced = np.zeros(count, bool)
         self.dark = np.zeros(count, np.float32)
         self.distances = np.zeros(count, np.float32)
+        self.spent = 0
 
     def trace(self, who: np.ndarray, around: np.ndarray) -> Generator[float, None, None]:
         """Gather at receivers `who` (n,) that are not traced yet, in blocks of bounded memory; `around` (n, k) are
@@ -97,31 +98,28 @@ class _Gatherer:
         solution = self.solution
         for start in range(0, len(who), block):
             part = who[start : start + block]
+            points, normals = self.receivers.points[part], self.receivers.normals[part]
             work = gather(
-                solution.tracer,
-                solution.hits_to_rows,
-                self.receivers.points[part],
-                self.receivers.normals[part],
-                self.rays,
-                solution.pool,
-                self.seed,
-                names=part,
+                solution.tracer, solution.hits_to_rows, points, normals, self.rays, solution.pool, self.seed, names=part
             )
-            seen = yield from shared_progress(work, start / len(who), (start + len(part)) / len(who))
+            first, second, third, last = np.linspace(start, start + len(part), 4) / len(who)
+            seen = yield from shared_progress(work, first, second)
             if solution.meet(seen.rows):
                 yield from solution.follow()
-            self.values[part] = seen.irradiance(solution.table())
             self.dark[part] = solution.dark_rows()[seen.rows].mean(axis=1)
             self.distances[part] = seen.distances
             self.traced[part] = True
             self.spent += self.rays * len(part)
-            normals = self.receivers.normals[part]
+            self.values[part] = seen.irradiance(solution.table())
             self.closeup.note(part, normals, seen.rows, self.values[part], self.seed)
             marked = self.closeup.marked(part, normals, around[start : start + block])
-            points = self.receivers.points[part]
-            better = self.closeup.values(points, normals, seen.rows, marked, self.values[part], part, self.seed)
-            self.values[part], rays = yield from better
-            self.spent += rays
+            work = self.closeup.values(points, normals, seen.rows, marked, self.values[part], part, self.seed)
+            self.values[part], closer = yield from shared_progress(work, second, third)
+            close = np.nonzero(has_near_field(solution, seen.distances) & (self.dark[part] <= BURIED))[0]
+            work = near_field(solution, points[close], normals[close], paths_for(self.rays), part[close], self.seed)
+            correction, nearer = yield from shared_progress(work, third, last)
+            self.values[part[close]] = np.maximum(self.values[part[close]] + correction, 0)
+            self.spent += closer + nearer
 
     @property
     def count(self) -> int:

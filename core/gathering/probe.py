@@ -10,6 +10,7 @@ from ..lights.direct_light import direct_light
 from ..progress import finish
 from ..solvers.patch_solution import PatchSolution
 from .indirect_light import IndirectLight
+from .near_field import near_field, paths_for
 from .receivers import Receivers
 
 #: Receivers that are done again, and by what factor their rays grow. Their own error is then half of what is measured,
@@ -50,8 +51,10 @@ def probe_error(
     even, names = seen.irradiance(solution.table()), np.arange(count)
     marked = indirect.closeup.marked(chosen, normals, indirect.around(chosen))
     gathered, closer = finish(indirect.closeup.values(points, normals, seen.rows, marked, even, names, seed + 7919))
-    better = lit + gathered
+    # By twice the paths: the near field is a small part, or else it is dim.
+    near, spent = finish(near_field(solution, points, normals, 2 * paths_for(plan.indirect.rays), chosen, seed + 7919))
+    better = lit + np.maximum(gathered + near, 0)
     baked = light[chosen, :3] + light[chosen, 3:]
     mean = float(baked.mean())
     error = float(np.sqrt(((baked - better) ** 2).mean()))
-    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count + closer
+    return (error / mean if mean > 0 else 0.0), rays + hemisphere * count + closer + spent

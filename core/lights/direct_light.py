@@ -20,7 +20,7 @@ from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from . import Light
 from .table import LightTable
 
-#: Lights that a receiver asks at most.
+#: Lights that a receiver asks at most, where it is not told another number.
 MAX_LIGHTS = 24
 
 #: A light whose unoccluded irradiance is below this part of the receiver's sum is left to chance.
@@ -39,13 +39,15 @@ class LightChoice:
     factors: np.ndarray | None
 
 
-def choose_lights(lights: Sequence[Light], points: np.ndarray, normals: np.ndarray, seed: int) -> list[LightChoice]:
-    """For every light the receivers that ask it; all of them while there are at most `MAX_LIGHTS` lights.
+def choose_lights(
+    lights: Sequence[Light], points: np.ndarray, normals: np.ndarray, seed: int, most: int = MAX_LIGHTS
+) -> list[LightChoice]:
+    """For every light the receivers that ask it; all of them while there are at most `most` lights.
 
     Shirley, Wang, Zimmerman 1996, "Monte Carlo Techniques for Direct Lighting Calculations": probability by unoccluded
     contribution. Here lights above `SURE_SHARE` are asked for certain and the rest by systematic sampling.
     """
-    if len(lights) <= MAX_LIGHTS:
+    if len(lights) <= most:
         return [LightChoice(None, None)] * len(lights)
     chosen: list[list[np.ndarray]] = [[] for _ in lights]
     factors: list[list[np.ndarray]] = [[] for _ in lights]
@@ -54,7 +56,7 @@ def choose_lights(lights: Sequence[Light], points: np.ndarray, normals: np.ndarr
     luck = turns_of(len(points), seed + 1) / np.float32(2 * np.pi)
     for start in range(0, len(points), block):
         stop = min(start + block, len(points))
-        asked, factor = _choose(table.rates(points[start:stop], normals[start:stop]), luck[start:stop])
+        asked, factor = _choose(table.rates(points[start:stop], normals[start:stop]), luck[start:stop], most)
         which, who = np.nonzero(asked.T)
         bounds = np.searchsorted(which, np.arange(len(lights) + 1))
         gains = factor.T[which, who]
@@ -65,16 +67,16 @@ def choose_lights(lights: Sequence[Light], points: np.ndarray, normals: np.ndarr
     return [LightChoice(np.concatenate(c), np.concatenate(f)) for c, f in zip(chosen, factors, strict=True)]
 
 
-def _choose(strength: np.ndarray, luck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _choose(strength: np.ndarray, luck: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Which lights (n, L) bool each receiver asks, and the factor by which the answer counts."""
     total = strength.sum(axis=1, keepdims=True)
     order = np.argsort(-strength, axis=1, kind="stable")
     ranked = np.take_along_axis(strength, order, axis=1)
     places = np.arange(strength.shape[1])
-    sure = (ranked > SURE_SHARE * total) & (places < MAX_LIGHTS // 2)
+    sure = (ranked > SURE_SHARE * total) & (places < most // 2)
     rest = np.where(sure, 0, ranked)
     left = rest.sum(axis=1, keepdims=True)
-    draws = MAX_LIGHTS - MAX_LIGHTS // 2
+    draws = most - most // 2
     # Systematic sampling: marks at equal steps of the cumulated strength; a light is drawn once per mark it covers.
     upto = np.cumsum(rest, axis=1) / np.maximum(left, 1e-30) * draws
     marks = np.floor(upto + luck[:, None])
@@ -96,6 +98,7 @@ def direct_light(
     pool: RayPool,
     seed: int = 0,
     everywhere: bool = False,
+    most: int = MAX_LIGHTS,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
     """Irradiance (n, 3) float32 from all lights at n oriented points, and the rays it took.
 
@@ -109,7 +112,9 @@ def direct_light(
     penumbra_rays : int
         Rays per light where its visibility is in doubt.
     everywhere : bool
-        Send the rays of a penumbra from all points.
+        Send the rays of a penumbra from all points, and no scouts.
+    most : int
+        Lights that a point asks at most.
     """
     out = np.zeros((len(points), 3), np.float32)
     rays = 0
@@ -118,17 +123,18 @@ def direct_light(
     # Lifted for the closed forms too: a vertex of an emissive face would see that face on all sides, or not at all, by
     # the rounding of its own position.
     points = (points + np.float32(OFFSET) * normals).astype(np.float32)
-    choices = choose_lights(lights, points, normals, seed)
+    choices = choose_lights(lights, points, normals, seed, most)
     for number, (light, choice) in enumerate(zip(lights, choices, strict=True)):
         lit, strength = _unoccluded(light, choice, points, normals, pool)
         if not len(lit):
             continue
         starts = points[lit]
         seen = np.empty(len(lit), np.float32)
-        scouts = _visibility(tracer, light, starts, normals[lit], 0, pool, seen)
-        for done in scouts:
-            yield (number + 0.5 * done) / len(lights)
-        rays += light.scout(starts[:1]).shape[1] * len(lit)
+        if light.is_sharp or not everywhere:
+            scouts = _visibility(tracer, light, starts, normals[lit], 0, pool, seen)
+            for done in scouts:
+                yield (number + 0.5 * done) / len(lights)
+            rays += light.scout(starts[:1]).shape[1] * len(lit)
         if not light.is_sharp:
             doubtful = np.arange(len(lit)) if everywhere else _penumbra(seen, lit, edges, len(points))
             more = np.empty(len(doubtful), np.float32)

@@ -32,6 +32,10 @@ BURIED = 0.8
 #: A point is enclosed when this part of its rays meets enclosed patches: all but what slips through cracks.
 ENCLOSED = 0.95
 
+#: Patches whose sample points lie within this part of the wanted side of a patch are sampled at their middle only: a
+#: triangle or cell of a quarter of that side, whose light is one to all that do not stand close.
+SMALL = 0.1
+
 #: Rounds of looking which patches stay enclosed when others turn out not to be; a solid settles in two or three.
 MAX_ROUNDS = 30
 
@@ -45,17 +49,22 @@ LATE_BOUNCES = 3
 ASKED = 4
 
 #: Earlier steps that Anderson's acceleration looks back on.
-MEMORY = 5
+MEMORY = 8
 
 
 @dataclass
 class _Side:
-    """Sample points of patches worked on: rows of the table, their light, and what they see."""
+    """Patches worked on, by k sample points each: rows of the table, their light, and what they see."""
 
     rows: np.ndarray
-    direct: np.ndarray  # (n, POINTS, 3)
-    seen: Gathered  # of n * POINTS points
-    kept: np.ndarray  # (n, POINTS) bool: not buried
+    direct: np.ndarray  # (n, k, 3)
+    seen: Gathered  # of n * k points
+    kept: np.ndarray  # (n, k) bool: not buried
+
+    @property
+    def each(self) -> int:
+        """Sample points per patch."""
+        return self.kept.shape[1]
 
 
 @dataclass
@@ -85,6 +94,7 @@ class PatchSolution:
     buried: np.ndarray = field(init=False)
     active: np.ndarray = field(init=False)
     _met: np.ndarray = field(init=False)
+    _small: np.ndarray = field(init=False)
     enclosed: np.ndarray = field(init=False)
     sweeps: int = 0
     residual: float = 0.0
@@ -98,6 +108,8 @@ class PatchSolution:
         self.active = np.zeros(2 * count, bool)
         self.buried = np.zeros(2 * count, bool)
         self._met = np.zeros(self.hits_to_rows.rows, bool)
+        apart = np.linalg.norm(self.patches.points - self.patches.points[:, :1], axis=2).max(axis=1)
+        self._small = apart < SMALL * self.patches.spacing
         self.enclosed = np.zeros(2 * count, bool)
 
     @property
@@ -150,7 +162,7 @@ class PatchSolution:
         for side in sides:
             self.irradiance[side.rows] = _arriving(side, table)
             self.radiosity[side.rows] = (
-                self.emitted[side.rows] + self._reflectances[side.rows] * self.irradiance[side.rows]
+                self.emitted[side.rows] + self.reflectances[side.rows] * self.irradiance[side.rows]
             )
 
     def meet(self, rows: np.ndarray) -> bool:
@@ -164,12 +176,23 @@ class PatchSolution:
         return count + np.nonzero(self._met[count : 2 * count] & ~self.active[count:])[0]
 
     def _activate(self, rows: np.ndarray) -> Generator[float, None, None]:
+        small = self._small[rows % self.patches.count]
+        done = 0
+        for part, each in ((rows[~small], POINTS), (rows[small], 1)):
+            if len(part):
+                share = len(part) * each / (len(rows) * POINTS)
+                yield from shared_progress(self._sample(part, each), done, done + share)
+                done += share
+        self.active[rows] = True
+
+    def _sample(self, rows: np.ndarray, each: int) -> Generator[float, None, None]:
+        """Gather at the first `each` sample points of the patches."""
         count = self.patches.count
         patch = rows % count
-        points = self.patches.points[patch].reshape(-1, 3)
-        normals = self.patches.normals[patch] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
+        points = np.ascontiguousarray(self.patches.points[patch, :each].reshape(-1, 3))
+        normals = self.patches.normals[patch, :each] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
         normals = np.ascontiguousarray(normals.reshape(-1, 3))
-        ring = _rings(len(rows))
+        ring = _rings(len(rows), each)
         work = direct_light(self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed)
         direct, rays = yield from shared_progress(work, 0.0, 0.5)
         seed = self.seed + int(rows[0])
@@ -177,12 +200,11 @@ class PatchSolution:
         seen = yield from shared_progress(work, 0.5, 0.9)
         self.rays_traced += rays + self.rays * len(points)
         if self.hits_to_rows.sky is not None:
-            yield from shared_progress(self._see_sky(points, normals, seen, direct, seed), 0.9, 1.0)
-        self._sides.append(_Side(rows, direct.reshape(-1, POINTS, 3), seen, np.ones((len(rows), POINTS), bool)))
+            yield from shared_progress(self._see_sky(points, normals, seen, direct, seed, each), 0.9, 1.0)
+        self._sides.append(_Side(rows, direct.reshape(-1, each, 3), seen, np.ones((len(rows), each), bool)))
         self._met[seen.rows] = True
-        self.active[rows] = True
 
-    def _see_sky(self, points, normals, seen: Gathered, direct: np.ndarray, seed: int) -> Generator[float, None, None]:
+    def _see_sky(self, points, normals, seen: Gathered, direct: np.ndarray, seed: int, each: int):
         """Where a small part of the sky is seen, look closely, and add to the direct light (n, 3) what the even sample
         is wrong by: patches in a room with a window are all that brings its light further in."""
         sky = self.hits_to_rows.table(np.zeros_like(self.radiosity))
@@ -196,8 +218,8 @@ class PatchSolution:
         known = BrightDirections(len(points))
         known.note(names, normals, bright, names, seed)
         # One look a patch, from its middle: light through a window changes little within it.
-        middles = names[::POINTS]
-        marked = known.around(middles, normals[middles], _near_points(points))
+        middles = names[::each]
+        marked = known.around(middles, normals[middles], _near_points(points, each))
         chosen = np.flatnonzero(marked.any(axis=1) & (marked.mean(axis=1) <= MOST))
         middles = middles[chosen]
         values, rays = yield from sharpen(
@@ -214,8 +236,8 @@ class PatchSolution:
             seed,
             self.pool,
         )
-        patches = direct.reshape(-1, POINTS, 3)
-        patches[chosen] += (values - even.reshape(-1, POINTS, 3)[chosen].mean(axis=1))[:, None]
+        patches = direct.reshape(-1, each, 3)
+        patches[chosen] += (values - even.reshape(-1, each, 3)[chosen].mean(axis=1))[:, None]
         self.rays_traced += rays
 
     def _find_enclosed(self, sides: list[_Side]) -> None:
@@ -238,7 +260,7 @@ class PatchSolution:
                 stays = _share(inside, side.seen.rows, points) >= ENCLOSED
                 candidates[number] = points[stays]
                 still = np.zeros(len(side.rows), bool)
-                still[points[stays] // POINTS] = True
+                still[points[stays] // side.each] = True
                 is_settled &= bool(stays.all())
                 inside[side.rows] = still
             if is_settled:
@@ -248,7 +270,7 @@ class PatchSolution:
     def _find_buried(self, sides: list[_Side]) -> None:
         dark = self.dark_rows()
         for side in sides:
-            share = _share(dark, side.seen.rows, np.arange(len(side.seen.rows))).reshape(-1, POINTS)
+            share = _share(dark, side.seen.rows, np.arange(len(side.seen.rows))).reshape(-1, side.each)
             kept = share <= BURIED
             gone = ~kept.any(axis=1)
             self.buried[side.rows[gone]] = True
@@ -264,7 +286,7 @@ class PatchSolution:
 
     def _iterate(self, tolerance: float) -> Generator[float, None, None]:
         """Fixed point of B = E + rho (D + F B), by Anderson's acceleration of Jacobi sweeps (Walker and Ni 2011)."""
-        rho = self._reflectances
+        rho = self.reflectances
         emitted = self.emitted
         radiosity = self.radiosity
         steps: list[np.ndarray] = []
@@ -291,7 +313,8 @@ class PatchSolution:
         return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
 
     @property
-    def _reflectances(self) -> np.ndarray:
+    def reflectances(self) -> np.ndarray:
+        """(2P, 3) reflectance of fronts and backs; those inside solids are black."""
         back = self.reflectance * (self.two_sided & ~self.enclosed[self.patches.count :])[:, None]
         return np.concatenate([self.reflectance, back]).astype(np.float32)
 
@@ -301,8 +324,8 @@ class PatchSolution:
         return np.concatenate([self.emission, self.emission * self.two_sided[:, None]]).astype(np.float32)
 
     def gathered_sides(self) -> Iterator[tuple[np.ndarray, np.ndarray, Gathered, np.ndarray]]:
-        """For each batch worked on: its rows (n,), direct light (n, POINTS, 3), what its points see, and which of them
-        (n, POINTS) count."""
+        """For each batch worked on: its rows (n,), direct light (n, k, 3), what its points see, and which of them
+        (n, k) count."""
         for side in self._sides:
             yield side.rows, side.direct, side.seen, side.kept
 
@@ -319,11 +342,12 @@ def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarr
     out = np.empty_like(steps[-1])
     for channel in range(3):
         last = changes[-1][:, channel].astype(np.float64)
-        differences = np.stack([last - c[:, channel] for c in changes[:-1]], axis=1)
-        # Normal equations with a small tie: at most 4 unknowns, and nearly parallel changes must not blow up.
-        normal = differences.T @ differences
+        differences = np.stack([last - c[:, channel] for c in changes[:-1]])
+        # Normal equations with a small tie: few unknowns, and nearly parallel changes must not blow up. By einsum: a
+        # matrix product of this shape waits for threads longer than it works.
+        normal = np.einsum("ki,li->kl", differences, differences)
         normal += np.eye(len(normal)) * (1e-10 * np.trace(normal) + 1e-300)
-        mix = np.linalg.solve(normal, differences.T @ last)
+        mix = np.linalg.solve(normal, np.einsum("ki,i->k", differences, last))
         mixed = steps[-1][:, channel].astype(np.float64)
         for weight, step in zip(mix, steps[:-1], strict=True):
             mixed = mixed + weight * (step[:, channel] - steps[-1][:, channel])
@@ -333,7 +357,7 @@ def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarr
 
 def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:
     """(n, 3) irradiance of the patches of one side, means over the points that are not buried."""
-    arriving = side.direct + side.seen.irradiance(table).reshape(-1, POINTS, 3)
+    arriving = side.direct + side.seen.irradiance(table).reshape(side.direct.shape)
     weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
     return np.einsum("npk,np->nk", arriving, weight)
 
@@ -349,18 +373,18 @@ def _share(marked: np.ndarray, rows: np.ndarray, which: np.ndarray) -> np.ndarra
     return out
 
 
-def _near_points(points: np.ndarray) -> np.ndarray:
-    """(n, k) numbers of the points of each patch and of those before and after it along a curve; twice does no harm."""
-    patches = len(points) // POINTS
-    order = along_curve(points.reshape(-1, POINTS, 3)[:, 0])
+def _near_points(points: np.ndarray, each: int) -> np.ndarray:
+    """(n, k) numbers of the `each` points of each patch and of those before and after it along a curve; twice does no
+    harm."""
+    patches = len(points) // each
+    order = along_curve(points.reshape(-1, each, 3)[:, 0])
     rank = np.empty(patches, np.int64)
     rank[order] = np.arange(patches)
     window = np.clip(rank[:, None] + np.arange(-ASKED, ASKED + 1), 0, patches - 1)
-    near = (order[window][:, :, None] * POINTS + np.arange(POINTS)).reshape(patches, -1)
-    return near
+    return (order[window][:, :, None] * each + np.arange(each)).reshape(patches, -1)
 
 
-def _rings(count: int) -> np.ndarray:
-    """Edges between the sample points of each of `count` patches: the middle one to the three others."""
-    start = np.arange(count, dtype=np.int32)[:, None] * POINTS
-    return np.stack([np.repeat(start, 3, axis=1), start + np.arange(1, POINTS)], axis=2).reshape(-1, 2)
+def _rings(count: int, each: int) -> np.ndarray:
+    """Edges between the `each` sample points of each of `count` patches: the middle one to the others."""
+    start = np.arange(count, dtype=np.int32)[:, None] * each
+    return np.stack([np.repeat(start, each - 1, axis=1), start + np.arange(1, each)], axis=2).reshape(-1, 2)

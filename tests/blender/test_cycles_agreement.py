@@ -15,7 +15,7 @@ import pytest
 from benchmarks import scenes
 from benchmarks.cycles_bake import join_meshes, mean, read_vertex_colors, reference_bake
 from benchmarks.geometry import interior_vertices
-from benchmarks.receivers import divide_edges, fair_vertices
+from benchmarks.receivers import divide_edges, fair_vertices, inner_vertices
 
 #: The issue's promise: means agree within 1 %, single receivers within 3 % beyond Cycles' own noise.
 MEAN_TOLERANCE = 0.01
@@ -87,7 +87,9 @@ def test_apartment_agrees():
     scenes.select_only(apartment)
     bpy.ops.object.transform_apply()
     divide_edges(apartment, longest=0.5)
-    fair = fair_vertices(apartment)
-    assert fair.sum() > 2000
+    # Left out of the inner vertices, 6,037 of 14,069: 624 whose hemisphere is in a wall or against one, 37 at the ends
+    # of triangles without area, and 9 that another face touches.
+    fair, inner = fair_vertices(apartment), inner_vertices(apartment)[0]
+    assert fair.sum() > 0.85 * inner.sum() > 0.85 * 5000
     assert any(obj.type == 'LIGHT' for obj in scene.objects)
     _assert_agreement(apartment, fair, samples=128)

@@ -31,7 +31,7 @@ from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
 from .progress import Progress, finish, shared_progress
-from .scene import Scene, Surfaces
+from .scene import ReceiverMesh, Scene, Surfaces
 from .settings import BakeSettings
 from .solvers.patch_checks import check_patches
 from .solvers.patch_solution import PatchSolution
@@ -114,10 +114,11 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         warnings, triangles = [*scene.warnings, *cleaned.warnings], len(scene.surfaces.triangles)
         frame = Frame.around(np.asarray(cleaned.surfaces.vertices, dtype=np.float64))
         surfaces = replace(cleaned.surfaces, vertices=_moved(cleaned.surfaces.vertices, frame))
+        meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
         # Which rows they were is what shaders ask.
         rows = None if surfaces.shader is None else cleaned.rows
         # Nothing is held any longer than it serves: what was read is by far the largest.
-        scene = replace(scene, surfaces=None)
+        scene = replace(scene, surfaces=None, receivers=())
         del cleaned
     with RayPool(settings.threads) as pool:
         with clock.stage("trace mesh"):
@@ -125,9 +126,9 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         del surfaces, rows
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
-            receivers = _place_receivers(scene, model, pool)
-            stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in scene.receivers]
-            scene = replace(scene, receivers=())
+            receivers = _place_receivers(meshes, model, pool)
+            stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in meshes]
+            del meshes
         if not len(receivers):
             raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
         solution = _patch_solution(model, scene, plan, settings, pool)
@@ -316,12 +317,13 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
     return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
 
 
-def _place_receivers(scene: Scene, model: _Model, pool: RayPool) -> Receivers:
-    receivers = build_receivers(scene.receivers, model.frame)
-    if not any(mesh.is_off_surface for mesh in scene.receivers):
+def _place_receivers(meshes: list[ReceiverMesh], model: _Model, pool: RayPool) -> Receivers:
+    """Receivers of meshes that are in the unit frame already."""
+    receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0))
+    if not any(mesh.is_off_surface for mesh in meshes):
         return receivers
     chosen = np.zeros(len(receivers), bool)
-    for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True):
+    for mesh, corners in zip(meshes, receivers.corner_receivers, strict=True):
         if mesh.is_off_surface:
             chosen[corners[corners >= 0]] = True
     return snap_to_surface(model.tracer, receivers, chosen, pool)

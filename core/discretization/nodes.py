@@ -89,12 +89,14 @@ def _coarsen(
 ) -> NodeLevel:
     """Clusters of `items` (receiver numbers), joined by `edges` between items."""
     count = len(items)
-    place, facing = points[items], normals[items]
+    # The finest level has all receivers for items, in order: no copies.
+    place, facing = (points, normals) if count == len(points) else (points[items], normals[items])
     cells = row_keys(
         *np.floor(place / np.float32(spacing)).astype(np.int32).T,
         *np.rint(facing * np.float32(NORMAL_STEPS)).astype(np.int32).T,
     )
     inside = cells[edges[:, 0]] == cells[edges[:, 1]]
+    del cells
     labels = connected_labels(count, edges[inside])
     leaders = labels == np.arange(count)
     clusters = (np.cumsum(leaders) - 1).astype(np.int32)[labels]

@@ -98,12 +98,12 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
     twins, weld = _match_edges(vertices, triangles, candidates, corners, keys, cells)
     links = _links(vertices, corners, cells, twins, size)
     del cells
-    labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
+    labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links, twins), size)
     failed = (big & ~flat)[labels]
     if failed.any():
         # Cells took in triangles of two planes; now only neighbors that lie in each other's plane stay together.
-        links[failed] = _links(vertices, corners, None, twins, size)[failed]
-        labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
+        links = np.where(np.repeat(failed, 3), _links(vertices, corners, None, twins, size), links)
+        labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links, twins), size)
     if not flat.any():
         return None
     del links
@@ -326,25 +326,23 @@ def _position_hashes(positions):
 
 
 def _links(vertices, corners, cells, twins, size):
-    """(k, 3) the neighbor across each edge that may share the region, the triangle itself where none may.
+    """(3 k,) bool: half-edges across which the neighbor may share the region.
 
     Neighbors of one cell may; others, and all where `cells` is None, only if they lie in each other's plane.
     """
-    links = np.empty(len(twins), dtype=np.int32)
+    links = twins >= 0
     parted = []
     for start in range(0, len(twins), 3 * _CHUNK):
-        part = slice(start, start + 3 * _CHUNK)
-        other = twins[part] // 3
+        linked = links[start : start + 3 * _CHUNK]
+        other = twins[start : start + 3 * _CHUNK] // 3
         own = np.arange(start, start + len(other), dtype=np.int32) // 3
-        other = links[part] = np.where(twins[part] >= 0, other, own)
-        doubt = other != own if cells is None else (other != own) & (cells[own] != cells[other])
-        doubt = start + np.flatnonzero(doubt)
+        linked &= other != own
+        doubt = start + np.flatnonzero(linked if cells is None else linked & (cells[own] != cells[other]))
         parted.append(doubt[_is_parted(vertices, corners, twins, doubt, size)])
     parted = np.concatenate(parted)
     # On either side of the edge.
-    parted = np.concatenate([parted, twins[parted]])
-    links[parted] = parted // 3
-    return links.reshape(-1, 3)
+    links[parted] = links[twins[parted]] = False
+    return links
 
 
 def _is_parted(vertices, corners, twins, doubt, size):
@@ -366,13 +364,23 @@ def _unit_normals(vertices, corners):
     return normals / np.linalg.norm(normals, axis=1)[:, None], base
 
 
-def _components(neighbors):
-    """Smallest triangle of the connected part that each triangle belongs to, from (k, 3) symmetric neighbors."""
-    parents = _flatten(neighbors.min(axis=1))
-    blocks = [slice(start, start + _CHUNK) for start in range(0, len(neighbors), _CHUNK)]
-    crossing = [np.flatnonzero(parents[block, None] != parents[neighbors[block]]) + 3 * block.start for block in blocks]
+def _neighbors(links, twins, triangles):
+    """(k, 3) the linked neighbor across each edge of a slice of triangles, the triangle itself where there is none."""
+    part = slice(3 * triangles.start, 3 * triangles.stop)
+    own = np.arange(part.start, part.start + len(links[part]), dtype=np.int32) // 3
+    return np.where(links[part], twins[part] // 3, own).reshape(-1, 3)
+
+
+def _components(links, twins):
+    """Smallest triangle of the connected part that each triangle belongs to, from symmetric links."""
+    blocks = [slice(start, start + _CHUNK) for start in range(0, len(links) // 3, _CHUNK)]
+    parents = _flatten(np.concatenate([_neighbors(links, twins, block).min(axis=1) for block in blocks]))
+    crossing = []
+    for block in blocks:
+        apart = parents[block, None] != parents[_neighbors(links, twins, block)]
+        crossing.append(3 * block.start + np.flatnonzero(apart))
     crossing = np.concatenate(crossing)
-    own, other = crossing // 3, neighbors.ravel()[crossing]
+    own, other = crossing // 3, twins[crossing] // 3
     while len(own):
         a, b = parents[own], parents[other]
         # Any of several writers may win: each sets a root's parent to a smaller root, which can never close a circle,
@@ -394,43 +402,78 @@ def _flatten(parents):
 
 def _planes(vertices, corners, labels, count, size):
     """Normals (count, 3), tolerances (count,) and whether each region lies in its plane, for labels below `count`."""
-    rows = np.flatnonzero(labels >= 0).astype(np.int32)
-    labels = labels[rows]
-    sizes = np.bincount(labels, minlength=count)
-    # A radix sort, where the numbers fit into 16 bits.
-    rows = rows[np.argsort(labels.astype(np.uint16 if count <= 1 << 16 else np.int64), kind='stable')]
-    del labels
+    sizes = np.bincount(labels[labels >= 0], minlength=count)
     ends = np.concatenate([[0], np.cumsum(sizes)])
-    starts = ends[:-1]
     normals, tolerances, flat = np.zeros((count, 3)), np.zeros(count), np.zeros(count, dtype=bool)
-    bounds = np.append(np.unique(np.searchsorted(starts, np.arange(0, len(rows), _CHUNK))), count)
-    for first, last in itertools.pairwise(bounds):
-        if first == last:
-            continue
-        block, part = slice(first, last), slice(ends[first], ends[last])
-        inner, members = starts[block] - ends[first], corners[rows[part]]
-        which = np.repeat(np.arange(last - first), sizes[block])
-        # Seen from the region's first corner: far from the world's origin the products would lose digits.
-        origin = vertices[members[inner, 0]]
-        x, y, z = (
-            [vertices[:, axis][members[:, corner]] - origin[:, axis][which] for corner in range(3)] for axis in range(3)
-        )
-        areas = _cross(x[1] - x[0], y[1] - y[0], z[1] - z[0], x[2] - x[0], y[2] - y[0], z[2] - z[0])
-        vector = np.stack([np.add.reduceat(area, inner) for area in areas], axis=1)
-        length = np.linalg.norm(vector, axis=1)
-        vector /= np.where(length > 0.0, length, 1.0)[:, None]
-        low = np.stack([_extreme(np.minimum, axis, inner) for axis in (x, y, z)], axis=1)
-        high = np.stack([_extreme(np.maximum, axis, inner) for axis in (x, y, z)], axis=1)
+    for first, last in _groups(ends, max(ends[-1] // _PARTS, _CHUNK)):
+        rows = np.flatnonzero((labels >= first) & (labels < last)).astype(np.int32)
+        if last - first > 1:
+            # A radix sort, where the numbers fit into 16 bits.
+            names = (labels[rows] - first).astype(np.uint16 if last - first <= 1 << 16 else np.int64)
+            rows = rows[np.argsort(names, kind='stable')]
+        for start, stop in _groups(ends[first : last + 1] - ends[first], _CHUNK):
+            block = slice(first + start, first + stop)
+            members = corners[rows[ends[block.start] - ends[first] : ends[block.stop] - ends[first]]]
+            normals[block], tolerances[block], flat[block] = _region_planes(vertices, members, sizes[block], size)
+    return normals, tolerances, flat
+
+
+def _groups(ends, least):
+    """First and last of consecutive regions that together hold about `least` triangles or more."""
+    marks = np.searchsorted(ends[:-1], np.arange(0, ends[-1], least))
+    return itertools.pairwise(np.unique(np.append(marks, len(ends) - 1)))
+
+
+def _region_planes(vertices, members, sizes, size):
+    """As `_planes`, of regions whose triangles (k, 3) follow one another, `sizes` (r,) of each."""
+    ends = np.cumsum(sizes)
+    starts = ends - sizes
+    # Seen from the region's first corner: far from the world's origin the products would lose digits.
+    origin = vertices[members[starts, 0]]
+    parts = []
+    for start in range(0, len(members), _CHUNK):
+        stop = min(start + _CHUNK, len(members))
+        held = slice(np.searchsorted(ends, start, side='right'), np.searchsorted(starts, stop))
+        inner = np.maximum(starts[held] - start, 0)
+        which = np.repeat(np.arange(held.start, held.stop), np.minimum(ends[held] - start, stop - start) - inner)
+        parts.append((slice(start, stop), held, inner, which))
+
+    def places(rows, which):
+        return [
+            [vertices[:, axis][members[rows, corner]] - origin[:, axis][which] for corner in range(3)]
+            for axis in range(3)
+        ]
+
+    areas = np.empty((3, len(members)))
+    low, high = np.full(origin.shape, np.inf), np.full(origin.shape, -np.inf)
+    for rows, held, inner, which in parts:
+        x, y, z = places(rows, which)
+        areas[:, rows] = _cross(x[1] - x[0], y[1] - y[0], z[1] - z[0], x[2] - x[0], y[2] - y[0], z[2] - z[0])
+        _widen(low[held], high[held], (x, y, z), inner)
+    vector = np.stack([np.add.reduceat(area, starts) for area in areas], axis=1)
+    length = np.linalg.norm(vector, axis=1)
+    vector /= np.where(length > 0.0, length, 1.0)[:, None]
+    bottom, top = np.full((len(sizes), 1), np.inf), np.full((len(sizes), 1), -np.inf)
+    least = np.full(len(sizes), np.inf)
+    for rows, held, inner, which in parts:
+        if len(parts) > 1:
+            x, y, z = places(rows, which)
         nx, ny, nz = (vector[:, axis][which] for axis in range(3))
         heights = [x[corner] * nx + y[corner] * ny + z[corner] * nz for corner in range(3)]
-        thickness = _extreme(np.maximum, heights, inner) - _extreme(np.minimum, heights, inner)
-        upright = np.minimum.reduceat(areas[0] * nx + areas[1] * ny + areas[2] * nz, inner) > 0.0
-        magnitude = np.maximum(np.abs(low + origin), np.abs(high + origin)).max(axis=1)
-        extent = np.linalg.norm(high - low, axis=1)
-        normals[block] = vector
-        tolerances[block] = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * extent + ROUNDING * magnitude)
-        flat[block] = upright & (thickness <= tolerances[block])
-    return normals, tolerances, flat
+        _widen(bottom[held], top[held], [heights], inner)
+        facing = areas[0, rows] * nx + areas[1, rows] * ny + areas[2, rows] * nz
+        np.minimum(least[held], np.minimum.reduceat(facing, inner), out=least[held])
+    magnitude = np.maximum(np.abs(low + origin), np.abs(high + origin)).max(axis=1)
+    extent = np.linalg.norm(high - low, axis=1)
+    tolerances = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * extent + ROUNDING * magnitude)
+    return vector, tolerances, (least > 0.0) & ((top - bottom)[:, 0] <= tolerances)
+
+
+def _widen(low, high, columns, starts):
+    """Widen the ranges (r, n) of n columns, each given at three corners, of the triangles from each start on."""
+    for axis, column in enumerate(columns):
+        np.minimum(low[:, axis], _extreme(np.minimum, column, starts), out=low[:, axis])
+        np.maximum(high[:, axis], _extreme(np.maximum, column, starts), out=high[:, axis])
 
 
 def _extreme(extreme, columns, starts):
@@ -445,7 +488,9 @@ def _measure(vertices, corners, parts, size):
     """Consecutive numbers for connected parts; of each, whether it is worth a look and flat, its normal, tolerance."""
     present = np.zeros(len(parts), dtype=bool)
     present[parts] = True
-    labels = (np.cumsum(present) - 1).astype(np.int32)[parts]
+    labels = np.cumsum(present, dtype=np.int32)[parts]
+    labels -= 1
+    del parts
     big = np.bincount(labels) >= SMALLEST_REGION
     flat = np.zeros(len(big), dtype=bool)
     normals, tolerances = np.zeros((len(big), 3)), np.zeros(len(big))

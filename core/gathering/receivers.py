@@ -30,7 +30,7 @@ INSET = 1e-3
 #: a triangle and at half in a square.
 MIDDLE = 0.4
 
-#: Corners whose normals are compared at a time.
+#: Corners or places compared at a time.
 BLOCK = 65536
 
 #: Half the diagonal of a square, in its sides: what the mean length of edges is taken times for the size of a face.
@@ -179,17 +179,21 @@ def _weld(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarr
     and the first that has each number."""
     finite = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     finite &= np.einsum("ij,ij->i", normals, normals) > 0.25
-    keys = row_keys(
-        *np.rint(points[finite] / SAME_PLACE).astype(np.int64).T,
-        *np.rint(normals[finite] / (2 * SAME_NORMAL)).astype(np.int64).T,
-    )
+    rows = np.flatnonzero(finite)
+    keys = np.empty(len(rows), np.uint64)
+    for start in range(0, len(rows), BLOCK):
+        part = rows[start : start + BLOCK]
+        keys[start : start + BLOCK] = row_keys(
+            *np.rint(points[part] / SAME_PLACE).astype(np.int64).T,
+            *np.rint(normals[part] / (2 * SAME_NORMAL)).astype(np.int64).T,
+        )
     _, leaders, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(leaders, kind="stable")
     rank = np.empty(len(leaders), np.int32)
     rank[order] = np.arange(len(leaders), dtype=np.int32)
     where = np.full(len(points), -1, np.int32)
     where[finite] = rank[inverse.reshape(-1)]
-    return where, np.nonzero(finite)[0][leaders[order]]
+    return where, rows[leaders[order]]
 
 
 def _inward(

@@ -153,6 +153,8 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
         with clock.stage("fill"):
             light = np.concatenate([direct, indirect.irradiance], axis=1)
+            del direct
+            indirect = replace(indirect, irradiance=None)  # it is in `light` now
             work = unbury(
                 solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
             )

@@ -132,20 +132,14 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
             continue
         group, leaders = _vertex_groups(mesh)
         place = frame.to_unit(mesh.positions)
-        following = _next_corners(mesh)
-        sides = place[mesh.corner_vertices]
-        sides = np.subtract(sides[following], sides, out=sides)
-        lengths = np.sqrt(np.einsum("ij,ij->i", sides, sides))
-        # An edge to a broken vertex has no length; its sound end is measured by its other edges.
-        lengths[~np.isfinite(lengths)] = 0
-        del sides
         points.append(place[mesh.corner_vertices[leaders]])
         normals.append(np.asarray(mesh.normals_at(leaders), np.float32))
-        sizes.append((np.bincount(group, weights=lengths) / np.bincount(group)).astype(np.float32))
+        sizes.append(_mean_sides(mesh, place, group))
         group += base
-        pairs.append((group, group[following]))
+        pairs.append((group, group[_next_corners(mesh)]))
         groups.append(group)
         base += len(leaders)
+        del place, leaders
     if not base:
         empty = np.empty((0, 3), np.float32)
         return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool), empty)
@@ -172,6 +166,20 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     step = np.minimum(np.maximum(INSET * reach, 4 * OFFSET), 0.5 * reach)
     points = points + (step / np.maximum(reach, 1e-20))[:, None].astype(np.float32) * inward
     return Receivers(points, normals, HALF_DIAGONAL * sizes[leaders], edges, groups, borders, inward)
+
+
+def _mean_sides(mesh: ReceiverMesh, places: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Mean length (g,) float32 of the sides that start at the corners of each group; `places` (v, 3) of vertices."""
+    following = _next_corners(mesh)
+    lengths = np.empty(len(following), np.float32)
+    for start in range(0, len(lengths), BLOCK):
+        part = slice(start, start + BLOCK)
+        sides = places[mesh.corner_vertices[following[part]]] - places[mesh.corner_vertices[part]]
+        lengths[part] = np.sqrt(np.einsum("ij,ij->i", sides, sides))
+    # An edge to a broken vertex has no length; its sound end is measured by its other edges.
+    lengths[~np.isfinite(lengths)] = 0
+    del following
+    return (np.bincount(group, weights=lengths) / np.bincount(group)).astype(np.float32)
 
 
 def _weld(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

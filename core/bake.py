@@ -121,6 +121,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         scene = replace(scene, surfaces=None, receivers=())
         del cleaned
     with RayPool(settings.threads) as pool:
+        yield Progress(0.01, "Preparing surfaces to trace")
         with clock.stage("trace mesh"):
             model = _build_model(surfaces, frame, rows, scene, plan, pool)
         del surfaces, rows
@@ -146,6 +147,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
                 settings.seed,
             )
             direct, rays = yield from _told(work, 0.3, 0.6, "Direct light")
+        yield Progress(0.6, "Indirect light")
         with clock.stage("indirect light"):
             free = uncut_edges(model.tracer, receivers, pool)
             deadline = clock.started + settings.time_limit if settings.time_limit else inf
@@ -302,7 +304,8 @@ def _patch_solution(
 
 
 def _told(work: Generator, low: float, high: float, message: str) -> Generator[Progress, None, object]:
-    """Progress of `work` within [low, high], with a message; its result is returned."""
+    """Progress of `work` within [low, high], with a message that comes before it; its result is returned."""
+    yield Progress(low, message)
     work = shared_progress(work, low, high)
     while True:
         try:

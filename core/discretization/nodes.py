@@ -55,11 +55,12 @@ def connected_labels(count: int, edges: np.ndarray) -> np.ndarray:
     one, other = edges[:, 0], edges[:, 1]
     while len(one):
         low, high = parent[one], parent[other]
-        low, high = np.minimum(low, high), np.maximum(low, high)
         apart = low != high
         if not apart.any():
             break
         low, high, one, other = low[apart], high[apart], one[apart], other[apart]
+        swapped = low > high
+        low[swapped], high[swapped] = high[swapped], low[swapped]
         np.minimum.at(parent, high, low)
         while True:
             above = parent[parent]

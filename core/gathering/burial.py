@@ -44,8 +44,9 @@ def unbury(
     penumbra_rays: int,
     seed: int,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Light (r, 6), direct and indirect, with that of the `buried` (r,) mended, and the rays it took. The array given is
-    changed: copies of it are a large part of what a bake holds.
+    """Light (r, 6), direct and indirect, with that of the `buried` (r,) mended, and the rays it took.
+
+    The array given is changed: copies of it are a large part of what a bake holds.
 
     Receivers on the border of their faces look again from further in; the others take the mean of their neighbors, ring
     by ring. What neither reaches stays as it is.

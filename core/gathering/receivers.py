@@ -220,7 +220,8 @@ def _inward(
     for mesh, group in zip(meshes, groups, strict=True):
         if not len(group):
             continue
-        corners = np.flatnonzero(borders[group] & (group >= 0))
+        # The last place stands for corners without a receiver, -1.
+        corners = np.flatnonzero(np.append(borders, False)[group])
         around = [corners, _next_corners(mesh)[corners], _previous_corners(mesh)[corners]]
         places = frame.to_unit(mesh.positions[mesh.corner_vertices[around]])
         ahead, back = places[1] - places[0], places[2] - places[0]

@@ -31,7 +31,7 @@ from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
 from .progress import Progress, finish, shared_progress
-from .scene import Scene, Surfaces
+from .scene import ReceiverMesh, Scene, Surfaces
 from .settings import BakeSettings
 from .solvers.patch_checks import check_patches
 from .solvers.patch_solution import PatchSolution
@@ -111,16 +111,25 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     with clock.stage("prepare"):
         cleaned = clean(scene.surfaces)
         _check(scene, cleaned.surfaces, plan, settings)
-    with RayPool(settings.threads) as pool:
-        with clock.stage("trace mesh"):
-            model = _build_model(cleaned.surfaces, cleaned.rows, scene, plan, pool)
-        # The model is all that rays need: let go of the surfaces, by far the largest of what was read.
         warnings, triangles = [*scene.warnings, *cleaned.warnings], len(scene.surfaces.triangles)
-        scene = replace(scene, surfaces=None)
+        frame = Frame.around(np.asarray(cleaned.surfaces.vertices, dtype=np.float64))
+        surfaces = replace(cleaned.surfaces, vertices=_moved(cleaned.surfaces.vertices, frame))
+        meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
+        # Which rows they were is what shaders ask.
+        rows = None if surfaces.shader is None else cleaned.rows
+        # Nothing is held any longer than it serves: what was read is by far the largest.
+        scene = replace(scene, surfaces=None, receivers=())
         del cleaned
+    with RayPool(settings.threads) as pool:
+        yield Progress(0.01, "Preparing surfaces to trace")
+        with clock.stage("trace mesh"):
+            model = _build_model(surfaces, frame, rows, scene, plan, pool)
+        del surfaces, rows
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
-            receivers = _place_receivers(scene, model, pool)
+            receivers = _place_receivers(meshes, model, pool)
+            stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in meshes]
+            del meshes
         if not len(receivers):
             raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
         solution = _patch_solution(model, scene, plan, settings, pool)
@@ -138,6 +147,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
                 settings.seed,
             )
             direct, rays = yield from _told(work, 0.3, 0.6, "Direct light")
+        yield Progress(0.6, "Indirect light")
         with clock.stage("indirect light"):
             free = uncut_edges(model.tracer, receivers, pool)
             deadline = clock.started + settings.time_limit if settings.time_limit else inf
@@ -145,6 +155,8 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
         with clock.stage("fill"):
             light = np.concatenate([direct, indirect.irradiance], axis=1)
+            del direct
+            indirect = replace(indirect, irradiance=None)  # it is in `light` now
             work = unbury(
                 solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
             )
@@ -155,8 +167,8 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
     statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
     meshes = [
-        BakedMesh(mesh, corners, light[:, :3], light[:, 3:], indirect.buried)
-        for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True)
+        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], indirect.buried)
+        for (mesh, vertices), corners in zip(stored, receivers.corner_receivers, strict=True)
     ]
     warnings += _receiver_warnings(meshes)
     if indirect.is_cut_short:
@@ -171,7 +183,7 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
         raise EmptySceneError("No mesh with faces to bake: select one, or add faces to it")
     if not len(surfaces.triangles):
         raise EmptySceneError("No usable face in the scene: all are without area or have broken vertices")
-    dark = not surfaces.emission.any() and scene.sky_is_dark
+    dark = not surfaces.wearing(surfaces.emission.any(axis=1)).any() and scene.sky_is_dark
     if dark and not any(np.any(light.power > 0) for light in scene.lights):
         raise NoEmittersError(
             "Nothing in the scene emits light: add a lamp, give a material an emission strength above 0, or light the "
@@ -187,19 +199,28 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
         )
 
 
-def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakePlan, pool: RayPool) -> _Model:
-    frame = Frame.around(np.asarray(surfaces.vertices, dtype=np.float64))
-    vertices = (np.asarray(surfaces.vertices, dtype=np.float64) - frame.center) / frame.size
+def _moved(vertices: np.ndarray, frame: Frame) -> np.ndarray:
+    """(n, 3) float64 vertices in the unit frame."""
+    moved = vertices - frame.center
+    moved /= frame.size
+    return moved
+
+
+def _build_model(
+    surfaces: Surfaces, frame: Frame, rows: np.ndarray | None, scene: Scene, plan: BakePlan, pool: RayPool
+) -> _Model:
+    """The model of surfaces in the unit frame; `rows` (m,) are theirs in the surfaces that the shader knows."""
     looks = _looks(surfaces)
-    merged = merge_coplanar(vertices, surfaces.triangles, looks)
+    merged = merge_coplanar(surfaces.vertices, surfaces.triangles, looks)
     source = merged.source
+    worn = surfaces.palette_of(source)
     corners, triangles = compacted(merged.vertices, merged.triangles)
     two_sided = surfaces.two_sided[source]
     lamps = [light.in_frame(frame.center, frame.size) for light in scene.lights if np.any(light.power > 0)]
     # In the unit frame, where a sun's flux is that through one unit of area whatever the scene's size.
     lamp_power = sum(float(light.power.max()) for light in lamps)
-    shining, sampled = area_lights(corners, triangles, surfaces.emission[source], two_sided, lamp_power)
-    tracer = Tracer.build(corners.astype(np.float32), triangles, surfaces.transmittance[source])
+    shining, sampled = area_lights(corners, triangles, surfaces.emission[worn], two_sided, lamp_power)
+    tracer = Tracer.build(corners.astype(np.float32), triangles, surfaces.transmittance[worn])
     patches = build_patches(corners, triangles, looks[source], plan.patches)
     cells, starts, segments = probe_segments(patches, corners, triangles)
     crossed = _crossed(tracer, starts, segments, pool)
@@ -217,7 +238,7 @@ def _build_model(surfaces: Surfaces, rows: np.ndarray, scene: Scene, plan: BakeP
     walled[cells[_crossed(tracer, starts, segments, pool)]] = True
     # Only next to small patches is it sure that what lies aside is on the same side.
     walled &= np.sqrt(patches.areas) < 0.5 * patches.spacing
-    reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled, vertices)
+    reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled)
     return _Model(
         frame=frame,
         tracer=tracer,
@@ -257,10 +278,11 @@ def _nearness(tracer: Tracer, patches: Patches, cells: np.ndarray, pool: RayPool
 def _looks(surfaces: Surfaces) -> np.ndarray:
     """Numbers (m,) that are equal where triangles may be merged."""
     # Textured emission and transparency are means over one triangle each, so those triangles stay as they are.
-    single = surfaces.textured & ((surfaces.emission > 0).any(axis=1) | (surfaces.transmittance > 0))
-    alone = np.where(single, np.arange(1, len(single) + 1), 0)
-    _, looks = np.unique(row_keys(surfaces.materials, surfaces.two_sided, alone), return_inverse=True)
-    return looks.reshape(-1)
+    shining = (surfaces.emission > 0).any(axis=1) | (surfaces.transmittance > 0)
+    single = surfaces.textured & surfaces.wearing(shining)
+    alone = np.where(single, np.arange(1, len(single) + 1, dtype=np.int32), np.int32(0))
+    different, looks = np.unique(row_keys(surfaces.materials, surfaces.two_sided, alone), return_inverse=True)
+    return looks.reshape(-1).astype(np.min_scalar_type(len(different)))
 
 
 def _patch_solution(
@@ -283,7 +305,8 @@ def _patch_solution(
 
 
 def _told(work: Generator, low: float, high: float, message: str) -> Generator[Progress, None, object]:
-    """Progress of `work` within [low, high], with a message; its result is returned."""
+    """Progress of `work` within [low, high], with a message that comes before it; its result is returned."""
+    yield Progress(low, message)
     work = shared_progress(work, low, high)
     while True:
         try:
@@ -300,12 +323,13 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
     return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
 
 
-def _place_receivers(scene: Scene, model: _Model, pool: RayPool) -> Receivers:
-    receivers = build_receivers(scene.receivers, model.frame)
-    if not any(mesh.is_off_surface for mesh in scene.receivers):
+def _place_receivers(meshes: list[ReceiverMesh], model: _Model, pool: RayPool) -> Receivers:
+    """Receivers of meshes that are in the unit frame already."""
+    receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0))
+    if not any(mesh.is_off_surface for mesh in meshes):
         return receivers
     chosen = np.zeros(len(receivers), bool)
-    for mesh, corners in zip(scene.receivers, receivers.corner_receivers, strict=True):
+    for mesh, corners in zip(meshes, receivers.corner_receivers, strict=True):
         if mesh.is_off_surface:
             chosen[corners[corners >= 0]] = True
     return snap_to_surface(model.tracer, receivers, chosen, pool)

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from .discretization.patches import POINTS
 from .gathering.indirect_light import IndirectSettings
 
-#: Bytes, measured with tracemalloc on a Cornell box of 460,000 vertices and rounded up: a triangle while it is merged
-#: and sorted into the tree, a corner with its share of a receiver, a patch, and what does not grow.
-TRIANGLE_BYTES = 200
-CORNER_BYTES = 60
-PATCH_BYTES = 900
-FIXED_BYTES = 120_000_000
+#: Bytes, rounded up from the largest resident memory of whole bakes in Blender (`benchmarks/memory.py`), reading
+#: included: of curved meshes, since those with flat walls take a third. A triangle while it is traced, a corner with
+#: its share of a receiver, a patch with the rays around it that are worked on at a time, and what does not grow.
+TRIANGLE_BYTES = 240
+CORNER_BYTES = 50
+PATCH_BYTES = 20_000
+FIXED_BYTES = 60_000_000
 
 
 @dataclass(frozen=True)

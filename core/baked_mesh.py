@@ -17,6 +17,9 @@ class BakedMesh:
     Parameters
     ----------
     mesh : ReceiverMesh
+        Only its topology and colors are used.
+    vertices : int
+        How many vertices it has.
     corner_receivers : (c,) int32
         Row of the arrays below for each corner, -1 where there is none.
     direct, indirect : (r, 3) float32
@@ -26,6 +29,7 @@ class BakedMesh:
     """
 
     mesh: ReceiverMesh
+    vertices: int
     corner_receivers: np.ndarray
     direct: np.ndarray
     indirect: np.ndarray
@@ -66,8 +70,7 @@ class BakedMesh:
     def vertex_colors(self, bake_type: str) -> np.ndarray:
         """(v, 3) float32 per vertex: the mean of its corners that are not buried, or of all where all are."""
         colors = self.corner_colors(bake_type)
-        vertices = self.mesh.corner_vertices
-        count = len(self.mesh.positions)
+        vertices, count = self.mesh.corner_vertices, self.vertices
         weight = np.where(self.buried_corners, 1e-9, 1.0) * (self.corner_receivers >= 0)
         total = np.bincount(vertices, weights=weight, minlength=count)
         out = np.empty((count, 3), np.float32)

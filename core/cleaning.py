@@ -24,7 +24,7 @@ BLOCK = 65536
 
 @dataclass(frozen=True)
 class CleanSurfaces:
-    """Usable surfaces, the row each triangle had in the surfaces given, and what had to be said."""
+    """Usable surfaces, the row (int32) each triangle had in the surfaces given, and what had to be said."""
 
     surfaces: Surfaces
     rows: np.ndarray
@@ -61,8 +61,13 @@ def clean(surfaces: Surfaces) -> CleanSurfaces:
     usable = finite & ~flat
     # Nothing is copied where nothing is left out: a million triangles carry a hundred megabytes.
     rows = slice(None) if usable.all() else np.nonzero(usable)[0]
-    reflectance, emission = surfaces.reflectance[rows], surfaces.emission[rows]
-    transmittance = surfaces.transmittance[rows]
+    palette, palette_rows = slice(None), None
+    if surfaces.palette_rows is None:
+        palette = rows
+    else:
+        palette_rows = surfaces.palette_rows[rows]
+    reflectance, emission = surfaces.reflectance[palette], surfaces.emission[palette]
+    transmittance = surfaces.transmittance[palette]
     vertices, triangles = compacted(surfaces.vertices, surfaces.triangles[rows])
     kept = replace(
         surfaces,
@@ -72,6 +77,7 @@ def clean(surfaces: Surfaces) -> CleanSurfaces:
         objects=surfaces.objects[rows],
         two_sided=surfaces.two_sided[rows],
         textured=surfaces.textured[rows],
+        palette_rows=palette_rows,
     )
     _report(
         warnings, kept, ~np.isfinite(reflectance) | (reflectance < 0) | (reflectance > 1), "reflectance outside 0 to 1"
@@ -83,7 +89,7 @@ def clean(surfaces: Surfaces) -> CleanSurfaces:
         emission=clamped_emission(emission),
         transmittance=np.clip(np.nan_to_num(transmittance), 0, 1),
     )
-    return CleanSurfaces(kept, np.arange(len(usable))[rows], warnings)
+    return CleanSurfaces(kept, np.arange(len(usable), dtype=np.int32)[rows], warnings)
 
 
 def _judge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -130,6 +136,7 @@ def clamped_emission(values: np.ndarray) -> np.ndarray:
 
 
 def _report(warnings: list[str], surfaces: Surfaces, wrong: np.ndarray, what: str) -> None:
-    wrong = wrong.any(axis=1)
+    """Warn about triangles whose row of the palette has a `wrong` (p, 3) color."""
+    wrong = surfaces.wearing(wrong.any(axis=1))
     if wrong.any():
         warnings.append(f"A {what} was clamped: {named(wrong, surfaces)}. Check the material")

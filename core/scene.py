@@ -7,7 +7,7 @@ know their light. `Sky` is what a ray meets that meets nothing. Lamps live in `c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -36,18 +36,18 @@ class Surfaces:
         Positions in meters. Rows that are not finite are tolerated when no triangle uses them.
     triangles : (m, 3) int32
         Rows of `vertices`, counter-clockwise seen from the front.
-    materials : (m,) int32
+    materials : (m,) int
         Triangles with equal numbers have the same look; only those may be merged when they lie in one plane.
-    objects : (m,) int32
+    objects : (m,) int
         Row of `object_names` that each triangle belongs to.
     object_names : sequence of str
         For warnings.
-    reflectance : (m, 3) float
-        Diffuse reflectance, 0 to 1; the mean over the triangle where it varies.
-    emission : (m, 3) float
+    reflectance : (p, 3) float
+        Diffuse reflectance, 0 to 1, of each row of the palette; the mean over the triangle where it varies.
+    emission : (p, 3) float
         Emitted radiant exitance in W/m2, pi times Blender's emission strength times color; on the front, and on the
         back too where `two_sided`. The mean over the triangle where it varies.
-    transmittance : (m,) float
+    transmittance : (p,) float
         Share of light that passes straight through, 0 (opaque) to 1 (invisible); 1 - alpha.
     two_sided : (m,) bool
         Whether the back reflects and emits as the front does. A one-sided back is black.
@@ -55,6 +55,9 @@ class Surfaces:
         Where colors vary over the triangle, so that `shader` must be asked.
     shader : SurfaceShader or None
         Needed when any triangle is textured.
+    palette_rows : (m,) int or None
+        Row of the palette for each triangle, since a million of them wear a handful of looks; None where the palette
+        has a row for each, in order.
     """
 
     vertices: np.ndarray
@@ -68,6 +71,15 @@ class Surfaces:
     two_sided: np.ndarray
     textured: np.ndarray
     shader: SurfaceShader | None = None
+    palette_rows: np.ndarray | None = None
+
+    def palette_of(self, triangles: np.ndarray) -> np.ndarray:
+        """Rows of the palette, of the shape of `triangles`, which are rows of triangles."""
+        return triangles if self.palette_rows is None else self.palette_rows[triangles]
+
+    def wearing(self, chosen: np.ndarray) -> np.ndarray:
+        """(m,) triangles whose row of the palette is among the `chosen` (p,) bool."""
+        return chosen if self.palette_rows is None else chosen[self.palette_rows]
 
 
 @dataclass(frozen=True)
@@ -79,10 +91,11 @@ class ReceiverMesh:
     name : str
         For warnings and the report.
     positions : (v, 3) float
-        Vertices in meters, world space. May hold NaN: such vertices receive black and are reported.
+        Vertices in meters, world space. May hold NaN: such vertices receive black and are reported. None once the
+        receivers are placed, as the normals then are.
     corner_vertices : (c,) int32
         Vertex of each face corner.
-    corner_normals : (c, 3) float32
+    corner_normals : (c, 3) float32 or None
         Shading normals in world space, unit length: equal at all corners of a smooth vertex, the face's own where flat.
     face_offsets : (f + 1,) int32
         Corners of face i are ``face_offsets[i]:face_offsets[i + 1]``, in order around the face.
@@ -92,6 +105,8 @@ class ReceiverMesh:
         Constant colors per palette row; emission is exitance in W/m2.
     corner_reflectance, corner_emission : (c, 3) float32 or None
         Colors per corner where any varies (textures, vertex colors); replaces the palette.
+    vertex_normals : (v, 3) float32 or None
+        Stands for `corner_normals` where all vertices are smooth: a quarter of the memory.
     flipped : bool
         Whether the object's matrix mirrors, so that corner order gives the inward normal.
     is_off_surface : bool
@@ -100,17 +115,28 @@ class ReceiverMesh:
     """
 
     name: str
-    positions: np.ndarray
+    positions: np.ndarray | None
     corner_vertices: np.ndarray
-    corner_normals: np.ndarray
+    corner_normals: np.ndarray | None
     face_offsets: np.ndarray
     face_materials: np.ndarray
     palette_reflectance: np.ndarray
     palette_emission: np.ndarray
     corner_reflectance: np.ndarray | None = None
     corner_emission: np.ndarray | None = None
+    vertex_normals: np.ndarray | None = None
     flipped: bool = False
     is_off_surface: bool = False
+
+    def without_geometry(self) -> ReceiverMesh:
+        """The same topology and colors without positions and normals, which are two thirds of a mesh."""
+        return replace(self, positions=None, corner_normals=None, vertex_normals=None)
+
+    def normals_at(self, corners: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """(n, 3) float32 shading normals at corners, by default all."""
+        if self.vertex_normals is None:
+            return self.corner_normals[corners]
+        return self.vertex_normals[self.corner_vertices[corners]]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from .color_attribute import (
     is_color_attribute,
     write_color_attributes,
 )
-from .memory import MemoryMeter
+from .memory import MemoryMeter, give_back_freed
 from .preview_material import artist_materials
 from .receiver_meshes import choose_receivers
 from .report import listed, make_report, store_report
@@ -36,6 +36,9 @@ from .viewport import show_colors
 #: Shares of the progress bar before and after the core.
 _READ_SHARE = 0.04
 _WRITE_SHARE = 0.02
+
+#: Bytes above those at the start from which on freed memory is given back between stages.
+_TIDY_ABOVE = 64_000_000
 
 #: The largest value that BYTE_COLOR holds; a little more still rounds to it.
 _BYTE_LIMIT = 1.0 + 0.5 / 255
@@ -97,6 +100,7 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     # The bake lets go of the surfaces when it has its own model of them, if nobody else holds them.
     del scene
     result = yield from _scaled(steps, meter)
+    _tidy(meter)
 
     yield Progress(1.0 - _WRITE_SHARE, "Writing the colors")
     write_start = time.perf_counter()
@@ -135,6 +139,7 @@ def _read(context: bpy.types.Context, options: BakeOptions) -> SceneReading:
 def _scaled(steps: Generator[Progress, None, BakeResult], meter: MemoryMeter) -> Generator[Progress, None, BakeResult]:
     """The core's steps on their part of the bar."""
     share = 1.0 - _READ_SHARE - _WRITE_SHARE
+    message = None
     try:
         while True:
             try:
@@ -142,9 +147,18 @@ def _scaled(steps: Generator[Progress, None, BakeResult], meter: MemoryMeter) ->
             except StopIteration as stop:
                 return stop.value
             meter.sample()
+            if progress.message != message:
+                # A new stage: what the last one took must not add to what this one takes.
+                message = progress.message
+                _tidy(meter)
             yield Progress(_READ_SHARE + share * progress.fraction, progress.message)
     finally:
         steps.close()
+
+
+def _tidy(meter: MemoryMeter) -> None:
+    if meter.above_start > _TIDY_ABOVE:
+        give_back_freed()
 
 
 def _target(object_name: str) -> _Target:

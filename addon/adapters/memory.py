@@ -41,6 +41,21 @@ def physical_memory() -> int | None:
         return None
 
 
+def give_back_freed() -> None:
+    """Hand memory that was freed back to the system, where its allocator would keep it: glibc's.
+
+    Its heap shrinks from the end only: one small array that is still in use there holds all that was freed before it,
+    and each thread has a heap of its own. Takes some milliseconds.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # musl and others have none
+    if trim is not None:
+        trim(0)
+
+
 class MemoryMeter:
     """Highest memory above that at the start, over a stretch of work.
 
@@ -56,6 +71,11 @@ class MemoryMeter:
     def sample(self) -> None:
         """Look now."""
         self._highest = max(self._highest, current_memory() or 0)
+
+    @property
+    def above_start(self) -> int:
+        """Bytes held now above those at the start, 0 where the system does not tell."""
+        return (current_memory() or 0) - (self._start or 0)
 
     def result(self) -> tuple[int, int]:
         """(peak of the process, peak above the start) in bytes."""

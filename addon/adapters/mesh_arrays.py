@@ -97,7 +97,9 @@ def read_mesh(mesh: bpy.types.Mesh, with_triangles: bool = True) -> MeshArrays:
     if with_triangles:
         mesh.calc_loop_triangles()
         triangle_corners = _read(mesh.loop_triangles, "loops", np.int32, 3)
-        triangle_faces = _read(mesh.loop_triangle_polygons, "value", np.int32)
+        # Blender would make this list too, and keep it: a face of k corners has k - 2 triangles.
+        sizes = np.diff(face_starts, append=np.int32(len(corner_vertices)))
+        triangle_faces = np.repeat(np.arange(len(face_starts), dtype=np.int32), sizes - 2)
     return MeshArrays(
         positions=read_positions(mesh),
         corner_vertices=corner_vertices,
@@ -113,6 +115,16 @@ def read_positions(mesh: bpy.types.Mesh) -> np.ndarray:
     if "position" in mesh.attributes:
         return _read(mesh.attributes["position"].data, "vector", np.float32, 3)
     return _read(mesh.vertices, "co", np.float32, 3)
+
+
+def read_vertex_normals(mesh: bpy.types.Mesh) -> np.ndarray | None:
+    """(v, 3) float32 normals in the mesh's own space where all corners of each vertex share one, else None.
+
+    Corner normals then say the same, but Blender computes four times as many and keeps them.
+    """
+    if mesh.normals_domain != 'POINT' or mesh.has_custom_normals:
+        return None
+    return _read(mesh.vertex_normals, "vector", np.float32, 3)
 
 
 def read_corner_normals(mesh: bpy.types.Mesh) -> np.ndarray:

@@ -16,7 +16,13 @@ import numpy as np
 from ...core.errors import EmptySceneError
 from ...core.scene import ReceiverMesh
 from .materials import MaterialLibrary
-from .mesh_arrays import has_same_topology, read_corner_attribute, read_corner_normals, read_mesh
+from .mesh_arrays import (
+    has_same_topology,
+    read_corner_attribute,
+    read_corner_normals,
+    read_mesh,
+    read_vertex_normals,
+)
 from .render_visibility import rendered_objects
 from .surface_shader import evaluate
 from .surfaces import transform_normals, transform_points
@@ -183,11 +189,14 @@ def _read_receiver(obj, mesh, matrix, materials) -> ReceiverMesh:
     colors = (None, None)
     if any(look.attributes for look in looks):
         colors = _corner_colors(mesh, arrays, obj, looks, slot_rows, reflectance, emission)
+    by_vertex = read_vertex_normals(mesh)
+    by_corner = transform_normals(read_corner_normals(mesh), matrix) if by_vertex is None else None
     return ReceiverMesh(
         name=obj.name,
         positions=transform_points(arrays.positions, matrix[None])[0],
         corner_vertices=arrays.corner_vertices,
-        corner_normals=transform_normals(read_corner_normals(mesh), matrix),
+        corner_normals=by_corner,
+        vertex_normals=None if by_vertex is None else transform_normals(by_vertex, matrix),
         face_offsets=arrays.face_offsets,
         face_materials=slot_rows.astype(np.int32),
         palette_reflectance=reflectance,

@@ -86,6 +86,8 @@ def read_scene(
         reader = _Reader(context, depsgraph)
         reader.read_instances()
         surfaces = build_surfaces(reader.placements)
+        counts = reader.counts()
+        reader.forget_meshes()
         meshes, retopologized = read_receivers(context, choice.objects, reader.materials)
         world = getattr(context.view_layer, "world_override", None) or context.scene.world  # override from Blender 5.0
         sky, suns, world_warnings = read_world(world, reader.images, world_strength)
@@ -97,9 +99,10 @@ def read_scene(
     warnings += _image_warnings(reader.images)
     scene = Scene(surfaces, tuple(meshes), (*reader.lights, *suns), sky, tuple(warnings))
     counts = {
-        **reader.counts(),
+        **counts,
         "triangles": len(surfaces.triangles),
         "lights": len(reader.lights),
+        "materials": reader.materials.count,
         "receivers": len(meshes),
     }
     return SceneReading(scene, tuple(obj.name for obj in choice.objects), choice.skipped, counts, choice.shared)
@@ -138,14 +141,18 @@ class _Reader:
         lines = [f"{text}: {join_names(dict.fromkeys(names))}" for text, names in self._names.items()]
         return [*lines, *self.materials.warnings(), *self._lamps.warnings()]
 
+    def forget_meshes(self) -> None:
+        """Let go of the meshes once surfaces are made of them."""
+        self.placements.clear()
+        self._meshes.clear()
+
     def counts(self) -> dict[str, int]:
-        """Objects with instances, distinct meshes, faces and materials."""
+        """Objects with instances, distinct meshes and faces."""
         sizes = [(len(each.matrices), len(each.arrays.face_offsets) - 1) for each in self.placements.values()]
         return {
             "objects": sum(count for count, _ in sizes),
             "meshes": len(self._meshes),
             "faces": sum(count * faces for count, faces in sizes),
-            "materials": self.materials.count,
         }
 
     def _is_rendered(self, instance) -> bool:

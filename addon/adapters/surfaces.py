@@ -5,7 +5,7 @@ A `Placement` is one mesh with its looks and all the places where it stands; pla
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,12 +36,12 @@ class Placement:
         self.matrices.append(matrix)
 
 
-def transform_points(positions: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """(k, v, 3) float64 world positions of (v, 3) points under (k, 4, 4) matrices."""
+def transform_points(positions: np.ndarray, matrices: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """(k, v, 3) float64 world positions of (v, 3) points under (k, 4, 4) matrices, in `out` where that is given."""
     with np.errstate(invalid="ignore", over="ignore"):  # broken vertices stay as they are; the core names them
-        return (
-            np.asarray(positions, dtype=np.float64) @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
-        )
+        out = np.matmul(np.asarray(positions, dtype=np.float64), matrices[:, :3, :3].transpose(0, 2, 1), out=out)
+        out += matrices[:, None, :3, 3]
+    return out
 
 
 def transform_normals(normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -86,17 +86,15 @@ class _Pools:
         self._sizes[number] += len(next(iter(attributes.values())))
         return number, start
 
-    def finish(self, looks: np.ndarray, rows: np.ndarray, columns: dict[str, np.ndarray]) -> TexturedShader | None:
-        """The shader of all triangles; fills the mean colors of those that vary into `columns`."""
+    def finish(self, looks: np.ndarray, rows: np.ndarray) -> TexturedShader | None:
+        """The shader of all triangles, None where no look varies."""
         if not self._looks:
             return None
-        pools = [{key: np.concatenate([part[key] for part in parts]) for key in parts[0]} for parts in self._parts]
-        shader = TexturedShader(self._looks, pools, looks, rows)
-        for number, means in enumerate(shader.means()):
-            wearing = looks == number
-            for name, mean in zip(("reflectance", "emission", "transmittance"), means, strict=True):
-                columns[name][wearing] = mean[rows[wearing]]
-        return shader
+        pools = []
+        for number, parts in enumerate(self._parts):
+            pools.append({key: np.concatenate([part[key] for part in parts]) for key in parts[0]})
+            self._parts[number] = []  # nothing is held twice
+        return TexturedShader(self._looks, pools, looks, rows)
 
 
 class _Wear:
@@ -142,43 +140,93 @@ def build_surfaces(placements: Mapping[tuple, Placement]) -> Surfaces:
         With zero triangles where there are no placements.
     """
     wear, pools = _Wear(), _Pools()
-    names: dict[str, int] = {}
-    parts = [_part(placement, i, wear, pools, names) for i, placement in enumerate(placements.values())]
-    columns = {
-        name: np.concatenate([part[i] for part in parts]) if parts else np.empty((0, *shape), dtype=dtype)
-        for i, (name, (shape, dtype)) in enumerate(_COLUMNS.items())
+    worn = [np.array([wear.row(look, i) for look in each.looks]) for i, each in enumerate(placements.values())]
+    names = {name: row for row, name in enumerate(dict.fromkeys(_names(placements.values())))}
+    is_varied = any(look.attributes for look in wear.looks)
+    # A million triangles: the smallest type that holds the number of a look and of an object.
+    columns = _Columns.empty(placements.values(), len(wear.looks), len(names), is_varied)
+    vertex = triangle = 0
+    for placement, looks in zip(placements.values(), worn, strict=True):
+        count, arrays = len(placement.matrices), placement.arrays
+        vertices = slice(vertex, vertex + count * len(arrays.positions))
+        triangles = slice(triangle, triangle + count * len(arrays.triangle_corners))
+        _fill(columns, vertices, triangles, placement, looks, pools, names)
+        vertex, triangle = vertices.stop, triangles.stop
+    palette = {
+        name: table.astype(np.float32 if table.dtype == np.float64 else table.dtype)
+        for name, table in wear.values().items()
     }
-    offsets = np.cumsum([0, *(len(part[0]) for part in parts)])[:-1]
-    counts = [len(part[1]) for part in parts]
-    columns["triangles"] += np.repeat(offsets, counts)[:, None].astype(np.int32)
-    for name, table in wear.values().items():
-        # A million triangles: float32 halves what they take, and a color has no more digits than that.
-        columns[name] = np.asarray(table).astype(np.float32 if table.dtype == np.float64 else table.dtype)[
-            columns["materials"]
-        ]
-    looks, rows = columns.pop("looks"), columns.pop("rows")
-    shader = pools.finish(looks, rows, columns)
-    return Surfaces(object_names=tuple(names), textured=looks >= 0, shader=shader, **columns)
+    two_sided = palette.pop("two_sided")[columns.materials]
+    palette_rows, textured = columns.materials, np.zeros(triangle, dtype=bool)
+    shader = None
+    if is_varied:
+        textured = columns.looks >= 0
+        shader = pools.finish(columns.looks, columns.rows)
+        palette_rows = _add_means(palette, shader, columns)
+    return Surfaces(
+        vertices=columns.vertices,
+        triangles=columns.triangles,
+        materials=columns.materials,
+        objects=columns.objects,
+        object_names=tuple(names),
+        two_sided=two_sided,
+        textured=textured,
+        shader=shader,
+        palette_rows=palette_rows,
+        **palette,
+    )
 
 
-#: What `_part` gives: shape of a row and type.
-_COLUMNS = {
-    "vertices": ((3,), np.float64),
-    "triangles": ((3,), np.int32),
-    "materials": ((), np.int32),
-    "objects": ((), np.int32),
-    "looks": ((), np.int32),
-    "rows": ((), np.int32),
-}
+@dataclass
+class _Columns:
+    """Arrays to be filled placement after placement; `looks` and `rows`, of looks that vary, only where one does."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    materials: np.ndarray
+    objects: np.ndarray
+    looks: np.ndarray | None
+    rows: np.ndarray | None
+
+    @classmethod
+    def empty(cls, placements: Iterable[Placement], looks: int, names: int, is_varied: bool) -> _Columns:
+        """Room for all that the placements hold."""
+        vertices, triangles = 0, 0
+        for each in placements:
+            vertices += len(each.matrices) * len(each.arrays.positions)
+            triangles += len(each.matrices) * len(each.arrays.triangle_corners)
+        return cls(
+            vertices=np.empty((vertices, 3)),
+            triangles=np.empty((triangles, 3), dtype=np.int32),
+            materials=np.empty(triangles, dtype=np.min_scalar_type(looks)),
+            objects=np.empty(triangles, dtype=np.min_scalar_type(names)),
+            looks=np.empty(triangles, dtype=np.int32) if is_varied else None,
+            rows=np.empty(triangles, dtype=np.int32) if is_varied else None,
+        )
 
 
-def _part(placement: Placement, index: int, wear: _Wear, pools: _Pools, names: dict[str, int]) -> tuple:
-    """Columns of one placement, instance after instance, with triangles that count vertices from 0."""
+def _names(placements: Iterable[Placement]) -> Iterator[str]:
+    for placement in placements:
+        yield from placement.names
+
+
+def _fill(columns: _Columns, vertices: slice, triangles: slice, placement: Placement, worn, pools: _Pools, names):
+    """Fill the rows of one placement, instance after instance; `worn` are the rows of its looks."""
     arrays, looks = placement.arrays, placement.looks
     matrices = np.array(placement.matrices)
     count = len(matrices)
+    transform_points(arrays.positions, matrices, out=columns.vertices[vertices].reshape(count, -1, 3))
     slots = np.minimum(arrays.face_materials, len(looks) - 1)[arrays.triangle_faces]
+    columns.materials[triangles].reshape(count, -1)[:] = worn[slots]
+    objects = np.array([names[name] for name in placement.names])
+    columns.objects[triangles].reshape(count, -1)[:] = objects[:, None]
     corners = arrays.triangle_corners[:, [0, 2, 1]] if placement.mirrored else arrays.triangle_corners
+    starts = vertices.start + np.arange(count, dtype=np.int32) * np.int32(len(arrays.positions))
+    np.add(
+        arrays.corner_vertices[corners], starts[:, None, None], out=columns.triangles[triangles].reshape(count, -1, 3)
+    )
+    if columns.looks is None:
+        return
     rows = np.full(len(corners), -1, dtype=np.int32)
     programs = np.full(len(looks), -1, dtype=np.int32)
     for slot, look in enumerate(looks):
@@ -187,14 +235,20 @@ def _part(placement: Placement, index: int, wear: _Wear, pools: _Pools, names: d
             attributes = {key: placement.attributes[key][corners[inside]] for key in look.attributes}
             programs[slot], start = pools.add(look, attributes)
             rows[inside] = start + np.arange(len(inside))
-    starts = np.arange(count, dtype=np.int32) * np.int32(len(arrays.positions))
-    objects = np.array([names.setdefault(name, len(names)) for name in placement.names], dtype=np.int32)
-    worn = np.array([wear.row(look, index) for look in looks], dtype=np.int32)
-    return (
-        transform_points(arrays.positions, matrices).reshape(-1, 3),
-        (arrays.corner_vertices[corners].astype(np.int32) + starts[:, None, None]).reshape(-1, 3),
-        np.tile(worn[slots], count),
-        np.repeat(objects, len(corners)),
-        np.tile(programs[slots], count),
-        np.tile(rows, count),
-    )
+    columns.looks[triangles].reshape(count, -1)[:] = programs[slots]
+    columns.rows[triangles].reshape(count, -1)[:] = rows
+
+
+def _add_means(palette: dict[str, np.ndarray], shader: TexturedShader, columns: _Columns) -> np.ndarray:
+    """Append the mean colors of triangles that vary to the palette; returns the row of each triangle (m,) int32."""
+    palette_rows = columns.materials.astype(np.int32)
+    tables = {name: [table] for name, table in palette.items()}
+    start = len(palette["transmittance"])
+    for number, means in enumerate(shader.means()):
+        wearing = np.flatnonzero(columns.looks == number)
+        palette_rows[wearing] = start + columns.rows[wearing]
+        for name, mean in zip(("reflectance", "emission", "transmittance"), means, strict=True):
+            tables[name].append(mean.astype(np.float32))
+        start += len(means[0])
+    palette.update({name: np.concatenate(parts) for name, parts in tables.items()})
+    return palette_rows

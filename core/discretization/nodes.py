@@ -55,11 +55,12 @@ def connected_labels(count: int, edges: np.ndarray) -> np.ndarray:
     one, other = edges[:, 0], edges[:, 1]
     while len(one):
         low, high = parent[one], parent[other]
-        low, high = np.minimum(low, high), np.maximum(low, high)
         apart = low != high
         if not apart.any():
             break
         low, high, one, other = low[apart], high[apart], one[apart], other[apart]
+        swapped = low > high
+        low[swapped], high[swapped] = high[swapped], low[swapped]
         np.minimum.at(parent, high, low)
         while True:
             above = parent[parent]
@@ -90,12 +91,14 @@ def _coarsen(
 ) -> NodeLevel:
     """Clusters of `items` (receiver numbers), joined by `edges` between items."""
     count = len(items)
-    place, facing = points[items], normals[items]
+    # The finest level has all receivers for items, in order: no copies.
+    place, facing = (points, normals) if count == len(points) else (points[items], normals[items])
     cells = row_keys(
         *np.floor(place / np.float32(spacing)).astype(np.int32).T,
         *np.rint(facing * np.float32(NORMAL_STEPS)).astype(np.int32).T,
     )
     inside = cells[edges[:, 0]] == cells[edges[:, 1]]
+    del cells
     labels = connected_labels(count, edges[inside])
     leaders = labels == np.arange(count)
     clusters = (np.cumsum(leaders) - 1).astype(np.int32)[labels]

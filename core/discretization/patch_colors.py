@@ -19,9 +19,8 @@ def patch_colors(
     triangles: np.ndarray,
     surfaces: Surfaces,
     source: np.ndarray,
-    rows: np.ndarray,
+    rows: np.ndarray | None,
     sampled: np.ndarray,
-    original: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Reflectance and emission (P, 3) of what of each patch does not let light through.
 
@@ -30,31 +29,29 @@ def patch_colors(
     vertices, triangles : (n, 3) float64, (m, 3) int
         The traced mesh, in the unit frame.
     surfaces : Surfaces
-        The cleaned surfaces; their vertices may be in any frame, they are not used.
+        The cleaned surfaces, in the unit frame.
     source : (m,) int
         A triangle of `surfaces` that each traced one stands for.
-    rows : (t,) int
-        Row of each triangle of `surfaces` in the surfaces that the shader knows.
+    rows : (t,) int or None
+        Row of each triangle of `surfaces` in the surfaces that the shader knows; not needed where there is none.
     sampled : (m,) bool
         Traced triangles whose emission lights stand for: it must not count twice.
-    original : (v, 3) float64
-        Vertices of `surfaces`, in the unit frame.
     """
     reflectance, emission = _constant(patches, triangles, vertices, surfaces, source)
     owners = source[patches.point_triangles[:, 0]]
     textured = np.nonzero(surfaces.textured[owners] & (patches.areas > 0))[0]
     if len(textured) and surfaces.shader is not None:
-        read = _read(patches, textured, vertices, triangles, surfaces, source, rows, original)
+        read = _read(patches, textured, vertices, triangles, surfaces, source, rows)
         reflectance[textured], emission[textured] = read
     emission[sampled[patches.point_triangles].all(axis=1)] = 0
     # A ray passes a translucent triangle or stops at it; what it then sees is the part that does not let through.
-    solid = np.maximum(1 - surfaces.transmittance[owners], 1e-6)[:, None]
+    solid = np.maximum(1 - surfaces.transmittance[surfaces.palette_of(owners)], 1e-6)[:, None]
     return np.minimum(reflectance / solid, MAX_REFLECTANCE), emission / solid
 
 
 def _constant(patches, triangles, vertices, surfaces, source):
     """Colors of the triangles themselves; of a cluster, their means by area."""
-    owners = source[patches.point_triangles]
+    owners = surfaces.palette_of(source[patches.point_triangles])
     reflectance, emission = surfaces.reflectance[owners].mean(axis=1), surfaces.emission[owners].mean(axis=1)
     small = np.nonzero(patches.divisions <= 1)[0]
     if len(small):
@@ -63,15 +60,16 @@ def _constant(patches, triangles, vertices, surfaces, source):
         patch = patches.first[small]
         total = np.bincount(patch, weights=areas, minlength=patches.count)
         many = total > 0
+        worn = surfaces.palette_of(source[small])
         for out, values in ((reflectance, surfaces.reflectance), (emission, surfaces.emission)):
             for channel in range(3):
-                weights = areas * values[source[small], channel]
+                weights = areas * values[worn, channel]
                 sums = np.bincount(patch, weights=weights, minlength=patches.count)
                 out[many, channel] = sums[many] / total[many]
     return reflectance, emission
 
 
-def _read(patches, wanted, vertices, triangles, surfaces, source, rows, original):
+def _read(patches, wanted, vertices, triangles, surfaces, source, rows):
     """Colors of textured patches: means over 16 readings each."""
     weights = patches.point_weights[wanted].astype(np.float64)
     # Four readings around each sample point: the quarter's middle moved within the quarter.
@@ -81,7 +79,7 @@ def _read(patches, wanted, vertices, triangles, surfaces, source, rows, original
     weights = np.clip(weights[:, :, None] + step, 0, 1).reshape(-1, 3)
     weights /= weights.sum(axis=1, keepdims=True)
     traced = np.repeat(patches.point_triangles[wanted].ravel(), len(_PLACES))
-    owners, weights = _on_original(weights, traced, vertices, triangles, surfaces, source, original)
+    owners, weights = _on_original(weights, traced, vertices, triangles, surfaces, source)
     reflectance, emission, _ = surfaces.shader(rows[owners], weights)
     each = POINTS * len(_PLACES)
     return (
@@ -90,7 +88,7 @@ def _read(patches, wanted, vertices, triangles, surfaces, source, rows, original
     )
 
 
-def _on_original(weights, traced, vertices, triangles, surfaces, source, original):
+def _on_original(weights, traced, vertices, triangles, surfaces, source):
     """The triangle of `surfaces` under each place on the traced mesh, and the barycentric weights there."""
     owners = source[traced]
     merged = ~np.isin(np.arange(len(surfaces.triangles)), source)
@@ -98,7 +96,7 @@ def _on_original(weights, traced, vertices, triangles, surfaces, source, origina
         return owners, weights
     # The traced triangle covers many of the artist's: a short ray finds the one below.
     textured = np.nonzero(surfaces.textured)[0]
-    below = Tracer.build(original.astype(np.float32), surfaces.triangles[textured])
+    below = Tracer.build(surfaces.vertices.astype(np.float32), surfaces.triangles[textured])
     corners = vertices[triangles[traced]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

@@ -35,6 +35,9 @@ FREE_TRIANGLES = 4
 #: Normals are grouped by rounding this multiple of them, so that a cluster's normals lie within about 30 degrees.
 NORMAL_STEPS = 2.0
 
+#: Triangles measured at a time.
+BLOCK = 65536
+
 #: Divisions of a triangle's side are kept below this, so that cell numbers within a triangle stay exact in float32.
 MAX_DIVISIONS = 1024
 
@@ -138,6 +141,18 @@ def _triangle_shape(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     return double / 2, cross / np.maximum(double, 1e-300)[:, None], longest
 
 
+def _triangle_shapes(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Areas (m,), unit normals (m, 3), longest sides (m,) and middles (m, 3), in blocks of bounded memory."""
+    count = len(triangles)
+    areas, normals, longest, middles = np.empty(count), np.empty((count, 3)), np.empty(count), np.empty((count, 3))
+    for start in range(0, count, BLOCK):
+        part = slice(start, start + BLOCK)
+        corners = vertices[triangles[part]]
+        areas[part], normals[part], longest[part] = _triangle_shape(corners)
+        middles[part] = corners.mean(axis=1)
+    return areas, normals, longest, middles
+
+
 def _divisions(areas: np.ndarray, longest: np.ndarray, size: float, most: float) -> np.ndarray:
     # A compact triangle is cut by its side; a thin one by the mean of its two extents, or it would become dust.
     extent = np.sqrt(np.sqrt(areas) * longest / 2)
@@ -183,15 +198,15 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     -------
     Patches
     """
-    corners = np.asarray(vertices, dtype=np.float64)[triangles]
-    areas, normals, longest = _triangle_shape(corners)
+    vertices = np.asarray(vertices, dtype=np.float64)
+    areas, normals, longest, middles = _triangle_shapes(vertices, triangles)
     size, divisions = _choose_size(areas, longest, target)
     whole = divisions > 1
     small = np.nonzero(~whole)[0]
     if len(small) <= FREE_TRIANGLES * target:
         clusters, representatives = np.arange(len(small)), np.repeat(np.arange(len(small))[:, None], POINTS, axis=1)
     else:
-        clusters, representatives = _cluster(corners[small], areas[small], normals[small], looks[small], size)
+        clusters, representatives = _cluster(middles[small], areas[small], normals[small], looks[small], size)
 
     cells = np.where(whole, divisions**2, 0).astype(np.int64)
     first = np.concatenate([[0], np.cumsum(cells)])[:-1].astype(np.int32)
@@ -211,7 +226,7 @@ def build_patches(vertices: np.ndarray, triangles: np.ndarray, looks: np.ndarray
     patch_areas[divided:] = np.bincount(clusters, weights=areas[small], minlength=count - divided)
     point_triangles[divided:] = small[representatives]
     weights[divided:] = _cluster_points(representatives)
-    points = np.einsum("pcw,pcwi->pci", weights, corners[point_triangles])
+    points = np.einsum("pcw,pcwi->pci", weights, vertices[triangles[point_triangles]])
     return Patches(
         count=count,
         spacing=float(size),
@@ -256,12 +271,11 @@ def _at_cell(corners: np.ndarray, inside: np.ndarray) -> np.ndarray:
 _QUARTERS = np.array([[1 / 3, 1 / 3], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [1 / 6, 1 / 6]])
 
 
-def _cluster(corners, areas, normals, looks, size) -> tuple[np.ndarray, np.ndarray]:
+def _cluster(middle, areas, normals, looks, size) -> tuple[np.ndarray, np.ndarray]:
     """Cluster (s,) of each small triangle, and four members (clusters, POINTS) of each, spread by area."""
     count = len(areas)
     if not count:
         return np.empty(0, np.int64), np.empty((0, POINTS), np.int64)
-    middle = corners.mean(axis=1)
     place = np.floor(middle / size).astype(np.int64)
     # Parallel faces at different depths, the boards of a shelf, are kept apart by the depth of their plane.
     depth = np.floor(np.einsum("ij,ij->i", middle, normals) / (0.25 * size)).astype(np.int64)

@@ -32,6 +32,8 @@ LARGEST_BEND = 0.99
 SMALLEST_REGION = 4
 
 _CHUNK = 1 << 16  # triangles per block: their corners fit into the processor's cache
+# Parts in which edges are matched: each takes an eighth of the memory, and one look at all edges.
+_PARTS = 8
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
@@ -84,27 +86,29 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
     if size <= 0.0:
         return None
     cells, coarse_cells = _plane_cells(vertices, triangles, keys, size)
-    candidates = np.flatnonzero(_is_shared(cells) | _is_shared(coarse_cells))
+    shared = _is_shared(coarse_cells)
     del coarse_cells
+    shared |= _is_shared(cells)
+    candidates = np.flatnonzero(shared).astype(np.int32)
     if len(candidates) < SMALLEST_REGION:
         return None
-    cells = cells[candidates]
-    keys = np.asarray(keys)[candidates]
-    corners = triangles[candidates]
+    # Nothing is copied where all are looked at.
+    rows = slice(None) if len(candidates) == len(triangles) else candidates
+    cells, keys, corners = cells[rows], np.asarray(keys)[rows], triangles[rows]
     twins, weld = _match_edges(vertices, triangles, candidates, corners, keys, cells)
-    links = _links(vertices, corners, cells, twins, size, strict=False)
-    labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
+    links = _links(vertices, corners, cells, twins, size)
+    del cells
+    labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links, twins), size)
     failed = (big & ~flat)[labels]
     if failed.any():
         # Cells took in triangles of two planes; now only neighbors that lie in each other's plane stay together.
-        strict = _links(vertices, corners, cells, twins, size, strict=True)
-        links[failed] = strict[failed]
-        labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links), size)
+        links = np.where(np.repeat(failed, 3), _links(vertices, corners, None, twins, size), links)
+        labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links, twins), size)
     if not flat.any():
         return None
+    del links
     labels = np.where(flat, np.cumsum(flat) - 1, -1).astype(np.int32)[labels]
-    twin_labels = np.where(twins >= 0, labels[twins // 3], -2).reshape(-1, 3)
-    half_edges = np.flatnonzero((twin_labels != labels[:, None]).ravel() & np.repeat(labels >= 0, 3))
+    half_edges = _border_edges(labels, twins)
     return PlanarRegions(
         triangles=candidates,
         labels=labels,
@@ -115,6 +119,17 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
         border_regions=labels[half_edges // 3],
         weld=weld,
     )
+
+
+def _border_edges(labels, twins):
+    """Half-edges of regions whose twin belongs to another or to none."""
+    parts = []
+    for start in range(0, len(labels), _CHUNK):
+        own = np.repeat(labels[start : start + _CHUNK], 3)
+        other = twins[3 * start : 3 * start + len(own)]
+        other = np.where(other >= 0, labels[other // 3], -2)
+        parts.append(3 * start + np.flatnonzero((other != own) & (own >= 0)))
+    return np.concatenate(parts)
 
 
 def scene_size(vertices: np.ndarray, triangles: np.ndarray) -> float:
@@ -170,9 +185,14 @@ def _is_shared(cells):
     """Whether the cell of each triangle holds at least three, by counting hash buckets; a few others slip through."""
     bits = int(np.clip(np.ceil(np.log2(len(cells) + 1)) + 2, 8, 22))
     buckets = (cells >> np.uint64(64 - bits)).astype(np.int32)
-    counts = np.bincount(buckets[cells != 0], minlength=1 << bits)
-    # Less than SMALLEST_REGION: what is flat but noisy may spread over cells.
-    return (counts[buckets] >= 3) & (cells != 0)
+    buckets[cells == 0] = -1
+    part = 1 << (bits - 3)
+    shared = np.zeros(1 << bits, dtype=bool)
+    for start in range(0, 1 << bits, part):
+        counts = np.bincount(buckets[(buckets >= start) & (buckets < start + part)] - start, minlength=part)
+        # Less than SMALLEST_REGION: what is flat but noisy may spread over cells.
+        shared[start : start + part] = counts >= 3
+    return shared[buckets] & (buckets >= 0)
 
 
 def _match_edges(vertices, triangles, candidates, corners, keys, cells):
@@ -183,7 +203,7 @@ def _match_edges(vertices, triangles, candidates, corners, keys, cells):
     """
     origins = corners.ravel()
     twins = np.full(len(origins), -1, dtype=np.int32)
-    _pair(twins, np.arange(len(origins), dtype=np.int32), corners, keys, cells, len(vertices))
+    _pair_all(twins, None, corners, keys, cells, len(vertices))
     open_edges = np.flatnonzero(twins < 0).astype(np.int32)
     weld = np.arange(len(vertices), dtype=np.int32)
     if len(open_edges) == 0:
@@ -196,13 +216,29 @@ def _match_edges(vertices, triangles, candidates, corners, keys, cells):
     elsewhere = np.zeros(len(vertices), dtype=bool)
     elsewhere[triangles[others].ravel()] = True
     if _weld(weld, vertices, on_border, elsewhere):
-        _pair(twins, open_edges, weld[corners], keys, cells, len(vertices))
+        _pair_all(twins, open_edges, weld[corners], keys, cells, len(vertices))
     return twins, weld
 
 
 def _next_corner(half_edges):
     """Half-edges that follow in the same triangle."""
     return half_edges + np.where(half_edges % 3 == 2, -2, 1).astype(half_edges.dtype)
+
+
+def _pair_all(twins, half_edges, corners, keys, cells, vertex_count):
+    """Write the twins of `half_edges`, or of all where that is None: an edge belongs to its lower vertex, and those of
+    a range of vertices are matched at a time."""
+    following = corners[:, [1, 2, 0]]
+    lower = np.minimum(corners, following).ravel() if half_edges is None else None
+    del following
+    if half_edges is not None:
+        origins = corners.ravel()
+        lower = np.minimum(origins[half_edges], origins[_next_corner(half_edges)])
+    bounds = np.linspace(0, vertex_count, _PARTS + 1).astype(np.int64)
+    for low, high in itertools.pairwise(bounds):
+        part = np.flatnonzero((lower >= low) & (lower < high)).astype(np.int32)
+        if len(part):
+            _pair(twins, part if half_edges is None else half_edges[part], corners, keys, cells, vertex_count)
 
 
 def _pair(twins, half_edges, corners, keys, cells, vertex_count):
@@ -289,26 +325,37 @@ def _position_hashes(positions):
     return mixed * _MIX[0]
 
 
-def _links(vertices, corners, cells, twins, size, strict):
-    """(k, 3) the neighbor across each edge that may share the region, the triangle itself where none may."""
-    own = np.arange(len(corners), dtype=np.int32)[:, None]
-    twins = twins.reshape(-1, 3)
-    other = np.where(twins >= 0, twins // 3, own)
-    links = other != own
-    doubt = np.flatnonzero(links if strict else links & (cells[:, None] != cells[other]))
-    if len(doubt):
-        normal, base = _unit_normals(vertices, corners[doubt // 3])
-        other_normal, _ = _unit_normals(vertices, corners[other.ravel()[doubt]])
-        twin = twins.ravel()[doubt]
-        apex = vertices[corners.ravel()[twin // 3 * 3 + (twin + 2) % 3]]
-        height = np.abs(np.einsum('ij,ij->i', normal, apex - base))
-        reach = np.abs(apex - base).max(axis=1)
-        allowed = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * reach + ROUNDING * np.abs(apex).max(axis=1))
-        # The angle too: among triangles smaller than the tolerance, heights say nothing.
-        bent = (height > allowed) | (np.einsum('ij,ij->i', normal, other_normal) < LARGEST_BEND)
-        links.ravel()[doubt[bent]] = False
-        links.ravel()[twin[bent]] = False
-    return np.where(links, other, own)
+def _links(vertices, corners, cells, twins, size):
+    """(3 k,) bool: half-edges across which the neighbor may share the region.
+
+    Neighbors of one cell may; others, and all where `cells` is None, only if they lie in each other's plane.
+    """
+    links = twins >= 0
+    parted = []
+    for start in range(0, len(twins), 3 * _CHUNK):
+        linked = links[start : start + 3 * _CHUNK]
+        other = twins[start : start + 3 * _CHUNK] // 3
+        own = np.arange(start, start + len(other), dtype=np.int32) // 3
+        linked &= other != own
+        doubt = start + np.flatnonzero(linked if cells is None else linked & (cells[own] != cells[other]))
+        parted.append(doubt[_is_parted(vertices, corners, twins, doubt, size)])
+    parted = np.concatenate(parted)
+    # On either side of the edge.
+    links[parted] = links[twins[parted]] = False
+    return links
+
+
+def _is_parted(vertices, corners, twins, doubt, size):
+    """Whether the triangles on both sides of half-edges `doubt` lie in different planes."""
+    twin = twins[doubt]
+    normal, base = _unit_normals(vertices, corners[doubt // 3])
+    other_normal, _ = _unit_normals(vertices, corners[twin // 3])
+    apex = vertices[corners.ravel()[twin // 3 * 3 + (twin + 2) % 3]]
+    height = np.abs(np.einsum('ij,ij->i', normal, apex - base))
+    reach = np.abs(apex - base).max(axis=1)
+    allowed = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * reach + ROUNDING * np.abs(apex).max(axis=1))
+    # The angle too: among triangles smaller than the tolerance, heights say nothing.
+    return (height > allowed) | (np.einsum('ij,ij->i', normal, other_normal) < LARGEST_BEND)
 
 
 def _unit_normals(vertices, corners):
@@ -317,11 +364,23 @@ def _unit_normals(vertices, corners):
     return normals / np.linalg.norm(normals, axis=1)[:, None], base
 
 
-def _components(neighbors):
-    """Smallest triangle of the connected part that each triangle belongs to, from (k, 3) symmetric neighbors."""
-    parents = _flatten(neighbors.min(axis=1))
-    crossing = np.flatnonzero(parents[:, None] != parents[neighbors])
-    own, other = crossing // 3, neighbors.ravel()[crossing]
+def _neighbors(links, twins, triangles):
+    """(k, 3) the linked neighbor across each edge of a slice of triangles, the triangle itself where there is none."""
+    part = slice(3 * triangles.start, 3 * triangles.stop)
+    own = np.arange(part.start, part.start + len(links[part]), dtype=np.int32) // 3
+    return np.where(links[part], twins[part] // 3, own).reshape(-1, 3)
+
+
+def _components(links, twins):
+    """Smallest triangle of the connected part that each triangle belongs to, from symmetric links."""
+    blocks = [slice(start, start + _CHUNK) for start in range(0, len(links) // 3, _CHUNK)]
+    parents = _flatten(np.concatenate([_neighbors(links, twins, block).min(axis=1) for block in blocks]))
+    crossing = []
+    for block in blocks:
+        apart = parents[block, None] != parents[_neighbors(links, twins, block)]
+        crossing.append(3 * block.start + np.flatnonzero(apart))
+    crossing = np.concatenate(crossing)
+    own, other = crossing // 3, twins[crossing] // 3
     while len(own):
         a, b = parents[own], parents[other]
         # Any of several writers may win: each sets a root's parent to a smaller root, which can never close a circle,
@@ -343,41 +402,78 @@ def _flatten(parents):
 
 def _planes(vertices, corners, labels, count, size):
     """Normals (count, 3), tolerances (count,) and whether each region lies in its plane, for labels below `count`."""
-    rows = np.flatnonzero(labels >= 0)
-    labels = labels[rows]
-    # A radix sort, where the numbers fit into 16 bits.
-    order = np.argsort(labels.astype(np.uint16 if count <= 1 << 16 else np.int64), kind='stable')
-    rows, labels = rows[order], labels[order]
-    starts = np.searchsorted(labels, np.arange(count))
-    ends = np.append(starts, len(rows))
+    sizes = np.bincount(labels[labels >= 0], minlength=count)
+    ends = np.concatenate([[0], np.cumsum(sizes)])
     normals, tolerances, flat = np.zeros((count, 3)), np.zeros(count), np.zeros(count, dtype=bool)
-    bounds = np.append(np.unique(np.searchsorted(starts, np.arange(0, len(rows), _CHUNK))), count)
-    for first, last in itertools.pairwise(bounds):
-        if first == last:
-            continue
-        block, part = slice(first, last), slice(ends[first], ends[last])
-        inner, which, members = starts[block] - ends[first], labels[part] - first, corners[rows[part]]
-        # Seen from the region's first corner: far from the world's origin the products would lose digits.
-        origin = vertices[members[inner, 0]]
-        x, y, z = (
-            [vertices[:, axis][members[:, corner]] - origin[:, axis][which] for corner in range(3)] for axis in range(3)
-        )
-        areas = _cross(x[1] - x[0], y[1] - y[0], z[1] - z[0], x[2] - x[0], y[2] - y[0], z[2] - z[0])
-        vector = np.stack([np.add.reduceat(area, inner) for area in areas], axis=1)
-        length = np.linalg.norm(vector, axis=1)
-        vector /= np.where(length > 0.0, length, 1.0)[:, None]
-        low = np.stack([_extreme(np.minimum, axis, inner) for axis in (x, y, z)], axis=1)
-        high = np.stack([_extreme(np.maximum, axis, inner) for axis in (x, y, z)], axis=1)
+    for first, last in _groups(ends, max(ends[-1] // _PARTS, _CHUNK)):
+        rows = np.flatnonzero((labels >= first) & (labels < last)).astype(np.int32)
+        if last - first > 1:
+            # A radix sort, where the numbers fit into 16 bits.
+            names = (labels[rows] - first).astype(np.uint16 if last - first <= 1 << 16 else np.int64)
+            rows = rows[np.argsort(names, kind='stable')]
+        for start, stop in _groups(ends[first : last + 1] - ends[first], _CHUNK):
+            block = slice(first + start, first + stop)
+            members = corners[rows[ends[block.start] - ends[first] : ends[block.stop] - ends[first]]]
+            normals[block], tolerances[block], flat[block] = _region_planes(vertices, members, sizes[block], size)
+    return normals, tolerances, flat
+
+
+def _groups(ends, least):
+    """First and last of consecutive regions that together hold about `least` triangles or more."""
+    marks = np.searchsorted(ends[:-1], np.arange(0, ends[-1], least))
+    return itertools.pairwise(np.unique(np.append(marks, len(ends) - 1)))
+
+
+def _region_planes(vertices, members, sizes, size):
+    """As `_planes`, of regions whose triangles (k, 3) follow one another, `sizes` (r,) of each."""
+    ends = np.cumsum(sizes)
+    starts = ends - sizes
+    # Seen from the region's first corner: far from the world's origin the products would lose digits.
+    origin = vertices[members[starts, 0]]
+    parts = []
+    for start in range(0, len(members), _CHUNK):
+        stop = min(start + _CHUNK, len(members))
+        held = slice(np.searchsorted(ends, start, side='right'), np.searchsorted(starts, stop))
+        inner = np.maximum(starts[held] - start, 0)
+        which = np.repeat(np.arange(held.start, held.stop), np.minimum(ends[held] - start, stop - start) - inner)
+        parts.append((slice(start, stop), held, inner, which))
+
+    def places(rows, which):
+        return [
+            [vertices[:, axis][members[rows, corner]] - origin[:, axis][which] for corner in range(3)]
+            for axis in range(3)
+        ]
+
+    areas = np.empty((3, len(members)))
+    low, high = np.full(origin.shape, np.inf), np.full(origin.shape, -np.inf)
+    for rows, held, inner, which in parts:
+        x, y, z = places(rows, which)
+        areas[:, rows] = _cross(x[1] - x[0], y[1] - y[0], z[1] - z[0], x[2] - x[0], y[2] - y[0], z[2] - z[0])
+        _widen(low[held], high[held], (x, y, z), inner)
+    vector = np.stack([np.add.reduceat(area, starts) for area in areas], axis=1)
+    length = np.linalg.norm(vector, axis=1)
+    vector /= np.where(length > 0.0, length, 1.0)[:, None]
+    bottom, top = np.full((len(sizes), 1), np.inf), np.full((len(sizes), 1), -np.inf)
+    least = np.full(len(sizes), np.inf)
+    for rows, held, inner, which in parts:
+        if len(parts) > 1:
+            x, y, z = places(rows, which)
         nx, ny, nz = (vector[:, axis][which] for axis in range(3))
         heights = [x[corner] * nx + y[corner] * ny + z[corner] * nz for corner in range(3)]
-        thickness = _extreme(np.maximum, heights, inner) - _extreme(np.minimum, heights, inner)
-        upright = np.minimum.reduceat(areas[0] * nx + areas[1] * ny + areas[2] * nz, inner) > 0.0
-        magnitude = np.maximum(np.abs(low + origin), np.abs(high + origin)).max(axis=1)
-        extent = np.linalg.norm(high - low, axis=1)
-        normals[block] = vector
-        tolerances[block] = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * extent + ROUNDING * magnitude)
-        flat[block] = upright & (thickness <= tolerances[block])
-    return normals, tolerances, flat
+        _widen(bottom[held], top[held], [heights], inner)
+        facing = areas[0, rows] * nx + areas[1, rows] * ny + areas[2, rows] * nz
+        np.minimum(least[held], np.minimum.reduceat(facing, inner), out=least[held])
+    magnitude = np.maximum(np.abs(low + origin), np.abs(high + origin)).max(axis=1)
+    extent = np.linalg.norm(high - low, axis=1)
+    tolerances = np.minimum(SCENE_TOLERANCE * size, REGION_TOLERANCE * extent + ROUNDING * magnitude)
+    return vector, tolerances, (least > 0.0) & ((top - bottom)[:, 0] <= tolerances)
+
+
+def _widen(low, high, columns, starts):
+    """Widen the ranges (r, n) of n columns, each given at three corners, of the triangles from each start on."""
+    for axis, column in enumerate(columns):
+        np.minimum(low[:, axis], _extreme(np.minimum, column, starts), out=low[:, axis])
+        np.maximum(high[:, axis], _extreme(np.maximum, column, starts), out=high[:, axis])
 
 
 def _extreme(extreme, columns, starts):
@@ -392,7 +488,9 @@ def _measure(vertices, corners, parts, size):
     """Consecutive numbers for connected parts; of each, whether it is worth a look and flat, its normal, tolerance."""
     present = np.zeros(len(parts), dtype=bool)
     present[parts] = True
-    labels = (np.cumsum(present) - 1).astype(np.int32)[parts]
+    labels = np.cumsum(present, dtype=np.int32)[parts]
+    labels -= 1
+    del parts
     big = np.bincount(labels) >= SMALLEST_REGION
     flat = np.zeros(len(big), dtype=bool)
     normals, tolerances = np.zeros((len(big), 3)), np.zeros(len(big))

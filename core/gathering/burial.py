@@ -46,10 +46,12 @@ def unbury(
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
     """Light (r, 6), direct and indirect, with that of the `buried` (r,) mended, and the rays it took.
 
+    The array given is changed: copies of it are a large part of what a bake holds.
+
     Receivers on the border of their faces look again from further in; the others take the mean of their neighbors, ring
     by ring. What neither reaches stays as it is.
     """
-    light, known = light.copy(), ~buried
+    known = ~buried
     rays = min(rays, LOOK_RAYS)
     left = np.nonzero(buried & receivers.borders)[0]
     spent = 0
@@ -71,7 +73,8 @@ def unbury(
         better = free & (light[behind].sum(axis=1) < DIM * found.sum(axis=1))
         light[behind[better]] = found[better]
         spent += cost
-    light, _ = fill_from_neighbors(light, known, receivers.edges, FILL_RINGS)
+    if not known.all():
+        light, _ = fill_from_neighbors(light, known, receivers.edges, FILL_RINGS)
     return light, spent
 
 

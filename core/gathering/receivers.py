@@ -30,6 +30,9 @@ INSET = 1e-3
 #: a triangle and at half in a square.
 MIDDLE = 0.4
 
+#: Corners or places compared at a time.
+BLOCK = 65536
+
 #: Half the diagonal of a square, in its sides: what the mean length of edges is taken times for the size of a face.
 HALF_DIAGONAL = 0.5**0.5
 
@@ -69,31 +72,43 @@ class Receivers:
 def _vertex_groups(mesh: ReceiverMesh) -> tuple[np.ndarray, np.ndarray]:
     """Corners to (vertex, smooth group): the group of each corner and one corner of each group."""
     vertices = mesh.corner_vertices
-    normals = mesh.corner_normals
     count = len(vertices)
     first = np.full(len(mesh.positions), -1, np.int32)
     first[vertices[::-1]] = np.arange(count - 1, -1, -1, dtype=np.int32)
-    own = first[vertices]
-    differs = np.abs(normals - normals[own]).max(axis=1) > SAME_NORMAL
-    mixed = np.zeros(len(first), bool)
-    mixed[vertices[differs]] = True
-    group = own.copy()
+    group = first[vertices]
+    if mesh.vertex_normals is None:
+        _part_groups(group, vertices, mesh.corner_normals, len(first))
+    leaders = np.nonzero(group == np.arange(count, dtype=np.int32))[0]
+    rank = np.full(count, -1, np.int32)
+    rank[leaders] = np.arange(len(leaders), dtype=np.int32)
+    return rank[group], leaders
+
+
+def _part_groups(group: np.ndarray, vertices: np.ndarray, normals: np.ndarray, count: int) -> None:
+    """Part the group (c,) of each of `count` vertices, named by its first corner, by the normals of its corners."""
+    mixed = np.zeros(count, bool)
+    for start in range(0, len(group), BLOCK):
+        part = slice(start, start + BLOCK)
+        differs = np.abs(normals[part] - normals[group[part]]).max(axis=1) > SAME_NORMAL
+        mixed[vertices[part][differs]] = True
     corners = np.nonzero(mixed[vertices])[0]
     if len(corners):
         steps = np.rint(normals[corners] / (2 * SAME_NORMAL)).astype(np.int64)
         keys = row_keys(vertices[corners], *steps.T)
         _, representative, inverse = np.unique(keys, return_index=True, return_inverse=True)
         group[corners] = corners[representative][inverse.reshape(-1)]
-    leaders = np.nonzero(group == np.arange(count))[0]
-    rank = np.full(count, -1, np.int32)
-    rank[leaders] = np.arange(len(leaders), dtype=np.int32)
-    return rank[group], leaders
 
 
 def _next_corners(mesh: ReceiverMesh) -> np.ndarray:
     following = np.arange(1, len(mesh.corner_vertices) + 1, dtype=np.int32)
     following[mesh.face_offsets[1:] - 1] = mesh.face_offsets[:-1]
     return following
+
+
+def _previous_corners(mesh: ReceiverMesh) -> np.ndarray:
+    previous = np.arange(-1, len(mesh.corner_vertices) - 1, dtype=np.int32)
+    previous[mesh.face_offsets[:-1]] = mesh.face_offsets[1:] - 1
+    return previous
 
 
 def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
@@ -117,20 +132,14 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
             continue
         group, leaders = _vertex_groups(mesh)
         place = frame.to_unit(mesh.positions)
-        following = _next_corners(mesh)
-        sides = place[mesh.corner_vertices]
-        sides = np.subtract(sides[following], sides, out=sides)
-        lengths = np.sqrt(np.einsum("ij,ij->i", sides, sides))
-        # An edge to a broken vertex has no length; its sound end is measured by its other edges.
-        lengths[~np.isfinite(lengths)] = 0
-        del sides
         points.append(place[mesh.corner_vertices[leaders]])
-        normals.append(np.asarray(mesh.corner_normals[leaders], np.float32))
-        sizes.append((np.bincount(group, weights=lengths) / np.bincount(group)).astype(np.float32))
+        normals.append(np.asarray(mesh.normals_at(leaders), np.float32))
+        sizes.append(_mean_sides(mesh, place, group))
         group += base
-        pairs.append((group, group[following]))
+        pairs.append((group, group[_next_corners(mesh)]))
         groups.append(group)
         base += len(leaders)
+        del place, leaders
     if not base:
         empty = np.empty((0, 3), np.float32)
         return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool), empty)
@@ -159,22 +168,40 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     return Receivers(points, normals, HALF_DIAGONAL * sizes[leaders], edges, groups, borders, inward)
 
 
+def _mean_sides(mesh: ReceiverMesh, places: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Mean length (g,) float32 of the sides that start at the corners of each group; `places` (v, 3) of vertices."""
+    following = _next_corners(mesh)
+    lengths = np.empty(len(following), np.float32)
+    for start in range(0, len(lengths), BLOCK):
+        part = slice(start, start + BLOCK)
+        sides = places[mesh.corner_vertices[following[part]]] - places[mesh.corner_vertices[part]]
+        lengths[part] = np.sqrt(np.einsum("ij,ij->i", sides, sides))
+    # An edge to a broken vertex has no length; its sound end is measured by its other edges.
+    lengths[~np.isfinite(lengths)] = 0
+    del following
+    return (np.bincount(group, weights=lengths) / np.bincount(group)).astype(np.float32)
+
+
 def _weld(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number of each (vertex, smooth group) among those that differ in place or normal, -1 where either is not finite,
     and the first that has each number."""
     finite = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     finite &= np.einsum("ij,ij->i", normals, normals) > 0.25
-    keys = row_keys(
-        *np.rint(points[finite] / SAME_PLACE).astype(np.int64).T,
-        *np.rint(normals[finite] / (2 * SAME_NORMAL)).astype(np.int64).T,
-    )
+    rows = np.flatnonzero(finite)
+    keys = np.empty(len(rows), np.uint64)
+    for start in range(0, len(rows), BLOCK):
+        part = rows[start : start + BLOCK]
+        keys[start : start + BLOCK] = row_keys(
+            *np.rint(points[part] / SAME_PLACE).astype(np.int64).T,
+            *np.rint(normals[part] / (2 * SAME_NORMAL)).astype(np.int64).T,
+        )
     _, leaders, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(leaders, kind="stable")
     rank = np.empty(len(leaders), np.int32)
     rank[order] = np.arange(len(leaders), dtype=np.int32)
     where = np.full(len(points), -1, np.int32)
     where[finite] = rank[inverse.reshape(-1)]
-    return where, np.nonzero(finite)[0][leaders[order]]
+    return where, rows[leaders[order]]
 
 
 def _inward(
@@ -193,12 +220,10 @@ def _inward(
     for mesh, group in zip(meshes, groups, strict=True):
         if not len(group):
             continue
-        following = _next_corners(mesh)
-        previous = np.empty_like(following)
-        previous[following] = np.arange(len(following), dtype=following.dtype)
-        corners = np.flatnonzero(group >= 0)
-        corners = corners[borders[group[corners]]]
-        places = frame.to_unit(mesh.positions)[mesh.corner_vertices[[corners, following[corners], previous[corners]]]]
+        # The last place stands for corners without a receiver, -1.
+        corners = np.flatnonzero(np.append(borders, False)[group])
+        around = [corners, _next_corners(mesh)[corners], _previous_corners(mesh)[corners]]
+        places = frame.to_unit(mesh.positions[mesh.corner_vertices[around]])
         ahead, back = places[1] - places[0], places[2] - places[0]
         sound = np.isfinite(ahead).all(axis=1) & np.isfinite(back).all(axis=1)
         corners, ahead, back = corners[sound], ahead[sound], back[sound]

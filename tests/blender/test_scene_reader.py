@@ -67,21 +67,21 @@ def test_triangles_and_normals_face_outward_under_any_scale(scale):
     (mesh,) = reading.scene.receivers
     assert mesh.flipped == (np.prod(scale) < 0)
     outward = mesh.positions[mesh.corner_vertices] - np.array(obj.location)
-    assert (np.einsum("ij,ij->i", outward, mesh.corner_normals) > 0).all()
-    np.testing.assert_allclose(np.linalg.norm(mesh.corner_normals, axis=1), 1, rtol=1e-6)
+    assert (np.einsum("ij,ij->i", outward, mesh.normals_at()) > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals_at(), axis=1), 1, rtol=1e-6)
     # Flat faces: the normal is at right angles to the face's edges, which only the inverse transpose gets right.
     corners = mesh.positions[mesh.corner_vertices].reshape(-1, 4, 3)
     edges = np.diff(corners, axis=1)
-    normals = mesh.corner_normals.reshape(-1, 4, 3)[:, :3]
+    normals = mesh.normals_at().reshape(-1, 4, 3)[:, :3]
     np.testing.assert_allclose(np.einsum("fij,fij->fi", edges, normals), 0, atol=1e-5)
 
 
 def test_flattened_object_keeps_its_normals():
     obj = add_cube(scale=(1, 1, 0))
     (mesh,) = read_scene(bpy.context, receivers=[obj]).scene.receivers
-    top = np.abs(mesh.corner_normals[:, 2]) == 1
+    top = np.abs(mesh.normals_at()[:, 2]) == 1
     assert top.sum() == 8
-    assert np.isfinite(mesh.corner_normals).all()
+    assert np.isfinite(mesh.normals_at()).all()
 
 
 def test_world_positions_keep_what_float32_holds_far_away():
@@ -254,10 +254,10 @@ def test_smooth_sharp_and_custom_normals_come_per_corner():
     for obj in (smooth, sharp, custom):
         obj.data.update()
     meshes = read_scene(bpy.context, receivers=[smooth, sharp, custom]).scene.receivers
-    corner = np.abs(meshes[0].corner_normals)
+    corner = np.abs(meshes[0].normals_at())
     np.testing.assert_allclose(corner, 1 / np.sqrt(3), atol=1e-3)
-    assert (np.abs(meshes[1].corner_normals).max(1) > 0.9999).all()
-    np.testing.assert_allclose(meshes[2].corner_normals, np.tile([0, 0, 1], (24, 1)), atol=1e-3)
+    assert (np.abs(meshes[1].normals_at()).max(1) > 0.9999).all()
+    np.testing.assert_allclose(meshes[2].normals_at(), np.tile([0, 0, 1], (24, 1)), atol=1e-3)
 
 
 def test_broken_geometry_is_read_as_it_is():
@@ -303,7 +303,7 @@ def test_slots_of_mesh_and_object_and_empty_slots():
     reading = read_scene(bpy.context, receivers=[obj])
     surfaces = reading.scene.surfaces
     expected = np.repeat([(0.5, 0, 0), (0.8, 0.8, 0.8), (0, 0.5, 0)], 4, axis=0)
-    np.testing.assert_allclose(surfaces.reflectance, expected, rtol=1e-6)
+    np.testing.assert_allclose(surfaces.reflectance[surfaces.palette_rows], expected, rtol=1e-6)
     assert len(set(surfaces.materials.tolist())) == 3
     (receiver,) = reading.scene.receivers
     np.testing.assert_allclose(receiver.palette_reflectance[receiver.face_materials], expected[::2], rtol=1e-6)
@@ -326,7 +326,9 @@ def test_material_override_of_the_view_layer_is_worn_by_all():
     obj = add_cube()
     bpy.context.view_layer.material_override = diffuse("Override", (0.1, 0.2, 0.3))
     reading = read_scene(bpy.context, receivers=[obj])
-    np.testing.assert_allclose(reading.scene.surfaces.reflectance, [(0.1, 0.2, 0.3)] * 12, rtol=1e-6)
+    np.testing.assert_allclose(
+        reading.scene.surfaces.reflectance[reading.scene.surfaces.palette_rows], [(0.1, 0.2, 0.3)] * 12, rtol=1e-6
+    )
     np.testing.assert_allclose(reading.scene.receivers[0].palette_reflectance, [(0.1, 0.2, 0.3)], rtol=1e-6)
 
 
@@ -388,7 +390,7 @@ def test_shader_tells_the_color_at_each_point_of_textured_triangles(scale):
     assert not emission.any()
     assert not transmittance.any()
     # Means over the two triangles, whose centers are at a third and two thirds.
-    means = surfaces.reflectance[surfaces.textured]
+    means = surfaces.reflectance[surfaces.palette_rows[surfaces.textured]]
     np.testing.assert_allclose(np.sort(means[:2, 0]), (1 / 3, 2 / 3), atol=0.01)
     np.testing.assert_allclose(np.sort(means[:, 2]), (0.25, 0.25, 0.25, 0.25, 0.75, 0.75), rtol=1e-5)
     assert len(set(surfaces.materials[surfaces.textured].tolist())) == 3

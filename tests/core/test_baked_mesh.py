@@ -25,7 +25,7 @@ def baked(**changes):
         palette_emission=EMISSION,
         **changes,
     )
-    return BakedMesh(mesh, RECEIVERS, DIRECT, INDIRECT, BURIED)
+    return BakedMesh(mesh, 7, RECEIVERS, DIRECT, INDIRECT, BURIED)
 
 
 def expected(bake_type, reflectance, emission):
@@ -82,7 +82,7 @@ def test_vertex_colors_are_means_of_the_corners_that_are_not_buried():
 
 def test_a_buried_corner_does_not_count_beside_a_free_one():
     mesh = baked()
-    mixed = BakedMesh(mesh.mesh, np.array([0, 2, 3, 3, 4, 5, 6, 6], np.int32), DIRECT, INDIRECT, BURIED)
+    mixed = BakedMesh(mesh.mesh, 7, np.array([0, 2, 3, 3, 4, 5, 6, 6], np.int32), DIRECT, INDIRECT, BURIED)
     corners = mixed.corner_colors("direct").astype(float)
     np.testing.assert_allclose(mixed.vertex_colors("direct")[1], corners[4], rtol=1e-6)
     np.testing.assert_array_equal(mixed.buried_corners, np.arange(8) == 1)

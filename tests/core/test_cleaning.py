@@ -1,5 +1,7 @@
 """What is left out or mended, and how it is named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from radiosity.core.cleaning import MAX_NAMES, clamped_emission, clamped_reflectance, clean
@@ -89,3 +91,19 @@ def test_clamping_leaves_what_is_possible():
     values = np.linspace(0, 0.999, 50)
     np.testing.assert_array_equal(clamped_reflectance(values), values)
     np.testing.assert_array_equal(clamped_emission(values * 1e30), values * 1e30)
+
+
+def test_colors_of_a_palette_are_mended_and_only_those_worn_are_told():
+    line = triangle((0, 0, 0), (1, 0, 0), (2, 0, 0), name="Line")
+    given = replace(
+        surfaces(SOUND, line, triangle((5, 0, 0), (6, 0, 0), (5, 1, 0), name="Bright")),
+        reflectance=np.array([[0.5] * 3, [2.0] * 3, [3.0] * 3]),
+        emission=np.zeros((3, 3)),
+        transmittance=np.zeros(3),
+        palette_rows=np.array([0, 2, 1], np.uint8),
+    )
+    cleaned = clean(given)
+    np.testing.assert_array_equal(cleaned.surfaces.palette_rows, [0, 1])
+    np.testing.assert_array_equal(cleaned.surfaces.reflectance[cleaned.surfaces.palette_rows, 0], [0.5, 0.999])
+    told = [line for line in cleaned.warnings if "reflectance" in line]
+    assert len(told) == 1 and "'Bright'" in told[0] and "'Line'" not in told[0]

@@ -1,5 +1,7 @@
 """Patches: where they lie, what they cover, how a hit finds its patch, and what color they have."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -157,16 +159,14 @@ def test_a_ground_plane_does_not_take_the_cells_from_the_house():
 
 
 def colors(scene, target=200, shader=None, sampled=None):
-    surfaces = clean(scene.surfaces).surfaces
     vertices, triangles, looks = unit(scene)
+    surfaces = replace(clean(scene.surfaces).surfaces, vertices=vertices)
     patches = build_patches(vertices, triangles, looks, target)
     source = rows = np.arange(len(triangles))
     if shader is not None:
-        from dataclasses import replace
-
         surfaces = replace(surfaces, shader=shader, textured=np.ones(len(triangles), bool))
     sampled = np.zeros(len(triangles), bool) if sampled is None else sampled
-    return patches, *patch_colors(patches, vertices, triangles, surfaces, source, rows, sampled, vertices)
+    return patches, *patch_colors(patches, vertices, triangles, surfaces, source, rows, sampled)
 
 
 def test_colors_of_cells_are_those_of_their_triangle():

@@ -169,3 +169,16 @@ def test_frame_takes_away_size_and_place(scale):
     other = build_receivers([there], Frame.around(there.positions))
     np.testing.assert_array_equal(one.corner_receivers[0], other.corner_receivers[0])
     np.testing.assert_allclose(other.points, one.points, atol=1e-6)
+
+
+def test_normals_by_vertex_say_the_same_as_by_corner():
+    mesh = inward_sphere(6).receivers[0]
+    by_vertex = np.empty((len(mesh.positions), 3), np.float32)
+    by_vertex[mesh.corner_vertices] = mesh.corner_normals
+    frame = Frame.around(mesh.positions)
+    # The builder's corner normals of one vertex differ by rounding: compare with the very same ones.
+    one = build_receivers([replace(mesh, corner_normals=by_vertex[mesh.corner_vertices])], frame)
+    other = build_receivers([replace(mesh, corner_normals=None, vertex_normals=by_vertex)], frame)
+    for name in ("points", "normals", "sizes", "edges", "borders", "inward"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(one.corner_receivers[0], other.corner_receivers[0])

@@ -13,7 +13,7 @@ from radiosity.core.lights import PointLight
 from radiosity.core.progress import finish
 from radiosity.core.settings import BakeSettings
 from radiosity.core.solvers.patch_checks import check_patches
-from radiosity.core.visibility.embree import RayPool
+from radiosity.core.visibility.embree import Frame, RayPool
 
 from tests.bakes import Thing, scene_of
 from tests.scenes import box, cornell_box, furnace_box, grid, inward_sphere
@@ -22,9 +22,11 @@ from tests.scenes import box, cornell_box, furnace_box, grid, inward_sphere
 def solved(scene, accuracy=0.1, seed=0):
     """The patch solution of a scene, and its model."""
     cleaned = clean(scene.surfaces)
+    frame = Frame.around(cleaned.surfaces.vertices)
+    surfaces = replace(cleaned.surfaces, vertices=(cleaned.surfaces.vertices - frame.center) / frame.size)
     plan, settings = plan_for(accuracy), BakeSettings(accuracy=accuracy, seed=seed)
     with RayPool(1) as pool:
-        model = module._build_model(cleaned.surfaces, cleaned.rows, scene, plan, pool)
+        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, pool)
         solution = module._patch_solution(model, scene, plan, settings, pool)
         finish(solution.solve())
     return solution, model

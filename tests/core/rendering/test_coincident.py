@@ -30,7 +30,7 @@ def scene(*parts):
 
 def seen(shown, window=1.0):
     """Colors (r, 3) over a window of the plane, from somewhere aside before it."""
-    right, up, towards = TURN.T
+    right, _up, towards = TURN.T
     forward = -(towards + 0.3 * right)
     forward /= np.linalg.norm(forward)
     right = right - (right @ forward) * forward

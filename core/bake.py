@@ -160,10 +160,10 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             work = unbury(
                 solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
             )
-            light, filled_rays = yield from _told(work, 0.95, 0.97, "Buried vertices")
+            light, moved, filled_rays = yield from _told(work, 0.95, 0.97, "Buried vertices")
         yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
-            error, probe_rays = probe_error(solution, receivers, light, indirect, plan, settings.seed)
+            error, probe_rays = probe_error(solution, receivers, light, indirect, moved, plan, settings.seed)
     rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
     statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
     meshes = [

@@ -18,7 +18,7 @@ from ...core.errors import EmptySceneError
 from ...core.rendering.viewer import ShownScene, View, Viewer
 from .camera import picture_size, scene_view
 from .images import ImageLibrary
-from .mesh_arrays import read_corner_normals, read_mesh
+from .mesh_arrays import MeshArrays, read_corner_normals, read_mesh
 from .picture_file import write_picture
 from .world import read_world
 
@@ -237,7 +237,7 @@ def _read_part(obj: bpy.types.Object, attribute_name: str) -> _Part | None:
     try:
         arrays = read_mesh(mesh)
         normals = read_corner_normals(mesh)
-        colors = _corner_colors(mesh, attribute_name, arrays.corner_vertices)
+        colors = _corner_colors(mesh, obj.original, attribute_name, arrays)
     finally:
         obj.to_mesh_clear()
     looks = [_material_look(slot.material) for slot in obj.material_slots] or [_material_look(None)]
@@ -253,16 +253,53 @@ def _read_part(obj: bpy.types.Object, attribute_name: str) -> _Part | None:
     )
 
 
-def _corner_colors(mesh: bpy.types.Mesh, name: str, corner_vertices: np.ndarray) -> np.ndarray | None:
+def _corner_colors(
+    mesh: bpy.types.Mesh, original: bpy.types.Object, name: str, arrays: MeshArrays
+) -> np.ndarray | None:
     """(c, 3) float32 scene-linear colors of an attribute at the corners, or None if the mesh has none by that name."""
     attribute = mesh.color_attributes.get(name)
     if attribute is None:
         return None
+    colors = _values(attribute)
+    if attribute.domain == 'POINT':
+        return colors[arrays.corner_vertices, :3]
+    blank = (colors == 1).all(axis=1)
+    if blank.any() and not _holds_white(original, name):
+        faces = np.repeat(np.arange(len(arrays.face_offsets) - 1), np.diff(arrays.face_offsets))
+        _fill(colors, blank, arrays.corner_vertices, faces)
+    return colors[:, :3]
+
+
+def _values(attribute: bpy.types.Attribute) -> np.ndarray:
     colors = np.empty(4 * len(attribute.data), np.float32)
     # "color" is scene-linear for bytes too; "color_srgb" would be the encoded value.
     attribute.data.foreach_get("color", colors)
-    colors = colors.reshape(-1, 4)[:, :3]
-    return colors[corner_vertices] if attribute.domain == 'POINT' else colors
+    return colors.reshape(-1, 4)
+
+
+def _holds_white(original: bpy.types.Object, name: str) -> bool:
+    """Whether white was baked: then white is no sign of a face without colors."""
+    attribute = original.data.color_attributes.get(name) if original.type == 'MESH' else None
+    return attribute is None or bool((_values(attribute) == 1).all(axis=1).any())
+
+
+def _fill(colors: np.ndarray, blank: np.ndarray, corner_vertices: np.ndarray, corner_faces: np.ndarray) -> None:
+    """Give `blank` (c,) corners the mean color of the others at their vertex or, ring by ring, in their face.
+
+    Some faces that the Bevel modifier makes have no corner to take colors from: Blender leaves them white.
+    """
+    known = ~blank
+    while not known.all():
+        before = known.sum()
+        for groups in (corner_vertices, corner_faces):
+            shares = np.bincount(groups[known], minlength=int(groups.max()) + 1)
+            reached = np.nonzero(~known & (shares[groups] > 0))[0]
+            for channel in range(4):
+                sums = np.bincount(groups[known], weights=colors[known, channel], minlength=len(shares))
+                colors[reached, channel] = (sums / np.maximum(shares, 1))[groups[reached]]
+            known[reached] = True
+        if known.sum() == before:
+            break
 
 
 def _placed(part: _Part, matrix: np.ndarray) -> _Part:

@@ -43,15 +43,16 @@ def unbury(
     rays: int,
     penumbra_rays: int,
     seed: int,
-) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Light (r, 6), direct and indirect, with that of the `buried` (r,) mended, and the rays it took.
+) -> Generator[float, None, tuple[np.ndarray, np.ndarray, int]]:
+    """Light (r, 6), direct and indirect, with that of the `buried` (r,) mended; whose light (r,) is that of another
+    place now; and the rays it took.
 
     The array given is changed: copies of it are a large part of what a bake holds.
 
     Receivers on the border of their faces look again from further in; the others take the mean of their neighbors, ring
     by ring. What neither reaches stays as it is.
     """
-    known = ~buried
+    known, moved = ~buried, buried.copy()
     rays = min(rays, LOOK_RAYS)
     left = np.nonzero(buried & receivers.borders)[0]
     spent = 0
@@ -72,10 +73,11 @@ def unbury(
         found, free, cost = yield from shared_progress(work, 0.5, 1.0)
         better = free & (light[behind].sum(axis=1) < DIM * found.sum(axis=1))
         light[behind[better]] = found[better]
+        moved[behind[better]] = True
         spent += cost
     if not known.all():
         light, _ = fill_from_neighbors(light, known, receivers.edges, FILL_RINGS)
-    return light, spent
+    return light, moved, spent
 
 
 def _look_again(solution, receivers, who, steps, rays, penumbra_rays, seed):

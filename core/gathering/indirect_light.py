@@ -29,6 +29,10 @@ from .receivers import Receivers
 #: sends it.
 NEAR = 0.4
 
+#: Where so near a thing gives more than this many times the mean light, every receiver is asked: behind a window's
+#: frame, or in the shade of a lamp, the light changes within the finest cluster, and by more than there is elsewhere.
+BRIGHT = 4.0
+
 #: With no more receivers than this, nodes save nothing: gather everywhere.
 DENSE_RECEIVERS = 1200
 
@@ -158,13 +162,26 @@ def indirect_light(
     irradiance, found = interpolate(
         receivers.points, receivers.normals, np.arange(count), finest.clusters, finest, values, valid, solution.pool
     )
-    _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
-    buried = ~(found & valid[finest.clusters])
 
     def around(who: np.ndarray) -> np.ndarray:
         return finest.nodes[_two_rings(finest.neighbors, finest.clusters[who])]
 
+    if not is_cut_short:
+        nook = _among_bright_things(gatherer, finest, values, valid)
+        yield from gatherer.trace(nook, around(nook))
+    _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
+    buried = ~(found & valid[finest.clusters])
     return IndirectLight(irradiance, buried, gatherer.count, gatherer.spent, gatherer.closeup, around, is_cut_short)
+
+
+def _among_bright_things(gatherer: _Gatherer, finest: NodeLevel, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Receivers (n,) of the finest clusters to which something stands near that makes them much brighter than most."""
+    if not valid.any():
+        return np.empty(0, np.int64)
+    bright = (values > BRIGHT * values[valid].mean(axis=0)).any(axis=1)
+    near = gatherer.traced[finest.nodes] & (gatherer.distances[finest.nodes] < NEAR * finest.spacing)
+    wanted = _with_neighbors(finest, bright & near & valid)
+    return np.nonzero(wanted[finest.clusters])[0]
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:

@@ -8,7 +8,7 @@ from ..bake_plan import BakePlan
 from ..form_factors.cached_hemispheres import gather
 from ..lights.direct_light import direct_light
 from ..progress import finish
-from ..solvers.patch_solution import PatchSolution
+from ..solvers.patch_solution import BURIED, PatchSolution
 from .indirect_light import IndirectLight
 from .near_field import near_field, paths_for
 from .receivers import Receivers
@@ -23,14 +23,22 @@ MAX_RAYS = 400_000
 
 
 def probe_error(
-    solution: PatchSolution, receivers: Receivers, light: np.ndarray, indirect: IndirectLight, plan: BakePlan, seed: int
+    solution: PatchSolution,
+    receivers: Receivers,
+    light: np.ndarray,
+    indirect: IndirectLight,
+    moved: np.ndarray,
+    plan: BakePlan,
+    seed: int,
 ) -> tuple[float, int]:
     """Relative RMS error of irradiance, estimated, and the rays it took.
 
-    Differences are taken over receivers and channels and divided by the mean irradiance. The error of the patches
-    themselves is shared by both sides and does not show.
+    Differences are taken over receivers and channels and divided by the mean irradiance. Receivers whose light was
+    `moved` (r,) there from another place, because their own lies in a wall or behind it, are not asked: light is not
+    wanted where they are. Nor are those found buried, whose cluster is not. The error of the patches themselves is
+    shared by both sides and does not show.
     """
-    candidates = np.nonzero(~indirect.buried)[0]
+    candidates = np.nonzero(~moved)[0]
     if not len(candidates):
         return 0.0, 0
     hemisphere, shadow = FACTOR * plan.indirect.rays, FACTOR * plan.penumbra_rays
@@ -55,6 +63,10 @@ def probe_error(
     near, spent = finish(near_field(solution, points, normals, 2 * paths_for(plan.indirect.rays), chosen, seed + 7919))
     better = lit + np.maximum(gathered + near, 0)
     baked = light[chosen, :3] + light[chosen, 3:]
+    free = solution.dark_rows()[seen.rows].mean(axis=1) <= BURIED
+    if not free.any():
+        return 0.0, rays + hemisphere * count
+    better, baked = better[free], baked[free]
     mean = float(baked.mean())
     error = float(np.sqrt(((baked - better) ** 2).mean()))
     return (error / mean if mean > 0 else 0.0), rays + hemisphere * count + closer + spent

@@ -15,6 +15,10 @@ from . import sampling
 SCOUT_DENSITY = 32
 MAX_SCOUTS = 24
 
+#: Distance from the middle, in radii of the polygon, within which places are spread as the point sees them. Beyond it
+#: the nearest place of those spread evenly is at most 3 times as near as the farthest.
+CLOSE = 2.0
+
 
 @dataclass(frozen=True)
 class AreaLight:
@@ -66,11 +70,42 @@ class AreaLight:
     def aim(self, points: np.ndarray, normals: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """See `Light.aim`. The cosine at the light times its distance is the same for all places on a plane, so a
         place weighs cos(receiver) / r^3, which is (segment . normal) / r^4."""
-        places = sampling.polygon(np.asarray(self.vertices, dtype=float), count)
-        segments = places - points[:, None]
+        vertices = np.asarray(self.vertices, dtype=float)
+        middle = vertices.mean(axis=0)
+        reach = CLOSE**2 * ((vertices - middle) ** 2).sum(axis=1).max()
+        segments = sampling.polygon(vertices, count) - points[:, None]
+        shares = np.ones(segments.shape[:2])
+        close = np.nonzero(((points - middle) ** 2).sum(axis=1) < reach)[0]
+        if len(close):
+            corner, sides = self._rectangle
+            places, shares[close] = sampling.near_rectangle(corner, sides, points[close], count)
+            shares[close] *= self._holds(places) * (np.linalg.norm(sides, axis=1).prod() / self.area)
+            segments[close] = places - points[close, None]
         square = np.einsum("nci,nci->nc", segments, segments)
         along = np.einsum("nci,ni->nc", segments, normals)
-        return segments, np.maximum(along, 0) / np.maximum(square, 1e-30) ** 2
+        return segments, shares * np.maximum(along, 0) / np.maximum(square, 1e-30) ** 2
+
+    @cached_property
+    def _rectangle(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corner (3,) and sides (2, 3) of the rectangle around the polygon, along its longest side."""
+        vertices = np.asarray(self.vertices, dtype=float)
+        edges = np.roll(vertices, -1, axis=0) - vertices
+        lengths = np.linalg.norm(edges, axis=1)
+        one = edges[lengths.argmax()] / lengths.max()
+        axes = np.stack([one, np.cross(self.normal, one)])
+        along = (vertices - vertices[0]) @ axes.T
+        low, high = along.min(axis=0), along.max(axis=0)
+        return vertices[0] + low @ axes, (high - low)[:, None] * axes
+
+    def _holds(self, places: np.ndarray) -> np.ndarray:
+        """(n, c) bool: whether places (n, c, 3) in the plane of the polygon lie in it."""
+        vertices = np.asarray(self.vertices, dtype=float)
+        edges = np.roll(vertices, -1, axis=0) - vertices
+        inward = np.cross(self.normal, edges)
+        # Places on the border belong to it: a rectangle is its own, whatever the rounding.
+        slack = 1e-9 * np.linalg.norm(edges, axis=1).max() * np.linalg.norm(inward, axis=1)
+        heights = places @ inward.T - (vertices * inward).sum(axis=1)
+        return (heights >= -slack).all(axis=2)
 
     def scout(self, points: np.ndarray) -> np.ndarray:
         """See `Light.scout`. Between the corners of a wide light a whole table finds room: it sends more."""

@@ -26,6 +26,10 @@ MAX_LIGHTS = 24
 #: A light whose unoccluded irradiance is below this part of the receiver's sum is left to chance.
 SURE_SHARE = 0.02
 
+#: Scouts whose ways differ by more than this factor say little: most of the light then comes from near one of them, or
+#: from between.
+CLOSE = 3.0
+
 #: Pairs of receiver and light looked at in one block when lights are chosen.
 CHOICE_BLOCK = 2_000_000
 
@@ -130,13 +134,14 @@ def direct_light(
             continue
         starts = points[lit]
         seen = np.empty(len(lit), np.float32)
+        close = np.empty(len(lit), bool)
         if light.is_sharp or not everywhere:
-            scouts = _visibility(tracer, light, starts, normals[lit], 0, pool, seen)
+            scouts = _visibility(tracer, light, starts, normals[lit], 0, pool, seen, close)
             for done in scouts:
                 yield (number + 0.5 * done) / len(lights)
             rays += light.scout(starts[:1]).shape[1] * len(lit)
         if not light.is_sharp:
-            doubtful = np.arange(len(lit)) if everywhere else _penumbra(seen, lit, edges, len(points))
+            doubtful = np.arange(len(lit)) if everywhere else _penumbra(seen, close, lit, edges, len(points))
             more = np.empty(len(doubtful), np.float32)
             turn = _visibility(tracer, light, starts[doubtful], normals[lit[doubtful]], penumbra_rays, pool, more)
             for done in turn:
@@ -164,8 +169,9 @@ def _unoccluded(light: Light, choice: LightChoice, points, normals, pool: RayPoo
     return (lit if asked is None else asked[lit]), strength[lit]
 
 
-def _visibility(tracer, light, starts, normals, rays, pool, out) -> Generator[float, None, None]:
-    """Fill `out` (n,) with the share of the light that each start sees; 0 rays stands for the light's scouts."""
+def _visibility(tracer, light, starts, normals, rays, pool, out, close=None) -> Generator[float, None, None]:
+    """Fill `out` (n,) with the share of the light that each start sees; 0 rays stands for the light's scouts, which
+    also fill `close` (n,) with whether they go to places of the light at very different distances."""
 
     def work(start: int, stop: int) -> None:
         if rays:
@@ -177,6 +183,8 @@ def _visibility(tracer, light, starts, normals, rays, pool, out) -> Generator[fl
         passed = tracer.visibility(origins, np.ascontiguousarray(segments.reshape(-1, 3), dtype=np.float32))
         passed = passed.reshape(-1, count)
         if weights is None:
+            square = np.einsum("nci,nci->nc", segments, segments)
+            close[start:stop] = square.max(axis=1) > CLOSE**2 * square.min(axis=1)
             out[start:stop] = passed.mean(axis=1)
             return
         total = weights.sum(axis=1)
@@ -187,9 +195,9 @@ def _visibility(tracer, light, starts, normals, rays, pool, out) -> Generator[fl
     yield from pool.chunks(work, len(starts), max(1, CHUNK_RAYS // max(rays, 8)))
 
 
-def _penumbra(seen: np.ndarray, lit: np.ndarray, edges: np.ndarray, count: int) -> np.ndarray:
-    """Which of the lit points see the light in part, or see another share of it than a neighbor."""
-    doubt = (seen > 0) & (seen < 1)
+def _penumbra(seen: np.ndarray, close: np.ndarray, lit: np.ndarray, edges: np.ndarray, count: int) -> np.ndarray:
+    """Which of the lit points see the light in part, see another share of it than a neighbor, or are `close` to it."""
+    doubt = (seen > 0) & (seen < 1) | close
     if len(edges):
         everywhere = np.full(count, -1, np.float32)
         everywhere[lit] = seen

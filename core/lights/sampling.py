@@ -63,13 +63,63 @@ def disk_scouts() -> np.ndarray:
     return np.array([[0, 0], [RIM, 0], [0, RIM], [-RIM, 0], [0, -RIM]])
 
 
+#: Scouts between the middle and the rim of a polygon: this part of the way to it, at this part of each of its sides.
+#: Off its axes, or the cross of a window's bars would hide them all.
+WAY, TURN = 0.6, 0.3
+
+
 def polygon_scouts(vertices: np.ndarray, within: int = 0) -> np.ndarray:
-    """(s, 3) the middle of a convex polygon (k, 3) and its corners, four of them where it has more, and `within` places
-    spread over it."""
+    """(s, 3) the middle of a convex polygon (k, 3), its corners, four of them where it has more, a place between each
+    of them and the middle, and `within` places spread over it."""
     middle = vertices.mean(axis=0)
     corners = vertices if len(vertices) <= 4 else vertices[(np.arange(4) * len(vertices)) // 4]
-    places = np.concatenate([middle[None], middle + RIM * (corners - middle)])
+    arms = corners - middle
+    turned = (1 - TURN) * arms + TURN * np.roll(arms, -1, axis=0)
+    places = np.concatenate([middle[None], middle + RIM * arms, middle + WAY * turned])
     return np.concatenate([places, polygon(vertices, within)]) if within else places
+
+
+def near_rectangle(
+    corner: np.ndarray, sides: np.ndarray, points: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, count, 3) on a rectangle, denser where each of n points (n, 3) is near, and the area (n, count) that
+    each place stands for, in shares of the rectangle times `count`.
+
+    The first coordinate is spread as 1 / (h^2 + x^2) around the point's foot, h being its height, and the second as
+    1 / (d^2 + y^2), d being the distance to the line chosen: their angles are uniform as the point sees them. Against
+    light that falls as cos(receiver) cos(light) / r^2 no place weighs more than a few times the mean, however near the
+    point and whichever way it faces. From far away the places are those of `square`.
+
+    Parameters
+    ----------
+    corner : (3,) float
+        Of the rectangle.
+    sides : (2, 3) float
+        Its two sides, perpendicular to each other.
+    points : (n, 3) float
+    count : int
+    """
+    lengths = np.linalg.norm(sides, axis=1)
+    away = points - corner
+    axes = sides / lengths[:, None]
+    foot = away @ axes.T
+    normal = np.cross(*axes)
+    # A point in the plane itself sees nothing of it; the floor only keeps the arithmetic finite.
+    height = np.maximum(np.abs(away @ normal), 1e-9 * lengths.max())[:, None]
+    spread = square(count)
+    x, x_part = _by_angle(foot[:, :1], lengths[0], height, spread[:, 0])
+    y, y_part = _by_angle(foot[:, 1:], lengths[1], np.hypot(height, x - foot[:, :1]), spread[:, 1])
+    return corner + np.stack([x, y], axis=2) @ axes, x_part * y_part
+
+
+def _by_angle(foot, length, distance, spread) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, c) along a line of a `length`, uniform in the angle in which a point sees them whose `foot` (n, 1) is
+    the nearest place and whose `distance` (n, 1 or c) is that to it; and the part of the line each stands for, times c.
+    """
+    low, high = np.arctan(-foot / distance), np.arctan((length - foot) / distance)
+    tangent = np.tan(low + spread * (high - low))
+    part = distance * (high - low) * (1 + tangent**2) / length
+    return np.clip(foot + distance * tangent, 0, length), part
 
 
 def facing_disks(directions: np.ndarray, pattern: np.ndarray) -> np.ndarray:

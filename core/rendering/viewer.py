@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..visibility.embree import RayEngine
+from .coincident import SortedEngine
 from .color import compress_highlights, dither_to_bytes, exposure_scale, linear_to_srgb
 
 #: Rays in flight. About 150 bytes each, so some 80 MB.
@@ -106,9 +106,9 @@ class ShownScene:
 class Viewer:
     """Renders pictures of one scene from any number of views; the ray structure is built once."""
 
-    def __init__(self, scene: ShownScene, threads: int = 0, engine: RayEngine | None = None):
+    def __init__(self, scene: ShownScene, threads: int = 0):
         self.scene = scene
-        self.engine = engine or RayEngine(scene.vertices, scene.triangles, threads)
+        self.engine = SortedEngine(scene.vertices, scene.triangles, threads)
         used = np.asarray(scene.vertices, dtype=np.float64)[np.unique(scene.triangles)]
         self._low, self._high = (used.min(axis=0), used.max(axis=0)) if len(used) else (np.zeros(3), np.zeros(3))
 

@@ -100,6 +100,46 @@ def test_a_wide_light_half_behind_a_fin_is_seen_in_half():
     assert share[:, 0].mean() < 0.95 * open_light.mean()
 
 
+def bar(center, axis, length, width):
+    """A flat bar (4, 3) at `center`, along `axis` 0 or 1, level."""
+    half = np.array([length, width] if axis == 0 else [width, length]) / 2
+    return np.array([(x * half[0], y * half[1], 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]) + center
+
+
+def test_a_pane_behind_the_bars_of_its_window_is_seen():
+    # The frame hides the rim, the cross hides the middle and both axes: what is seen lies between.
+    frame = [bar((side * 0.08, 0, 0.395), 1, 0.2, 0.04) for side in (-1, 1)]
+    frame += [bar((0, side * 0.08, 0.395), 0, 0.2, 0.04) for side in (-1, 1)]
+    frame += [bar((0, 0, 0.395), axis, 0.2, 0.02) for axis in (0, 1)]
+    points, normals, edges = floor(12)
+    light = AreaLight(SQUARE * (0.5, 0.5, 1), np.ones(3))
+    value, _ = run(tracer_of(*frame), [light], points, normals, edges)
+    dense, _ = run(tracer_of(*frame), [light], points, normals, edges, 4096, everywhere=True)
+    # Four panes of 0.05^2 in 0.15^2, seen from below, 0.395 of 0.4 of the way.
+    below = np.abs(points[:, :2]).max(axis=1) < 0.1
+    open_light = light.geometry(points.astype(float), normals.astype(float))
+    assert (dense[below, 0] / open_light[below]).mean() == pytest.approx(4 * 0.05**2 / 0.15**2, rel=0.05)
+    # A receiver's 256 rays meet eight edges of bars, and err by some of them.
+    assert np.sqrt(((value - dense) ** 2).mean()) < 0.05 * dense.mean()
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (1, 0, 0), (0.6, 0, -0.8)])
+@pytest.mark.parametrize("corners", [4, 3])
+def test_close_to_a_wide_light_few_rays_do_not_carry_all_the_weight(normal, corners):
+    # Nearly touching the light, a thousandth of its sides below it, before a wall that hides what lies beyond: 256 rays
+    # must say the same as 65,536. One edge of visibility in 256 well-spread places errs by a few of them.
+    light = AreaLight(np.array([(-0.5, -0.5, 0), (-0.5, 0.5, 0), (0.5, 0.5, 0), (0.5, -0.5, 0)])[:corners], np.ones(3))
+    wall = np.array([(-0.1995, -0.5, -0.5), (-0.1995, 0.5, -0.5), (-0.1995, 0.5, -0.0005), (-0.1995, -0.5, -0.0005)])
+    side = np.linspace(-0.45, -0.2, 23)
+    points = np.stack([side, np.full(23, 0.123), np.full(23, -0.001)], axis=1).astype(np.float32)
+    normals = np.tile(np.float32(normal), (23, 1))
+    exact = light.geometry(points.astype(float), normals.astype(float))
+    value, _ = run(tracer_of(wall), [light], points, normals, np.empty((0, 2), int), 256)
+    dense, _ = run(tracer_of(wall), [light], points, normals, np.empty((0, 2), int), 65536, everywhere=True)
+    assert (exact > 0).all()
+    assert np.abs(value - dense).max() < 0.06 * exact.max()
+
+
 def test_lights_add_up():
     points, normals, edges = floor(10)
     tracer = tracer_of(PLATE)

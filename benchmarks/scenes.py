@@ -194,6 +194,31 @@ def furnished_room(vertices: int = 20_000) -> bpy.types.Object:
     return room
 
 
+def l_room(vertices: int = 20_000) -> bpy.types.Object:
+    """A closed L-shaped room with its lamp in one arm: the other arm is lit around the reentrant corner, and has two
+    crates on its floor."""
+    empty_scene()
+    height = 2.6
+    plan = [(0.0, 0.0), (6.0, 0.0), (6.0, 2.5), (2.5, 2.5), (2.5, 6.0), (0.0, 6.0)]
+    model = Model()
+    for start, end in zip(plan, [*plan[1:], plan[0]], strict=True):
+        # Counter-clockwise from above, so the inside lies to the left.
+        inside = np.array([start[0] + start[1] - end[1], start[1] + end[0] - start[0], height / 2])
+        model.add([(*start, 0), (*end, 0), (*end, height), (*start, height)], 0, towards=inside)
+    for z, towards in ((0.0, 1e3), (height, -1e3)):
+        for low, high in (((0, 0), (6.0, 2.5)), ((0, 2.5), (2.5, 6.0))):
+            model.rectangle((*low, z), (*high, z), 0, towards=np.array([1.0, 1.0, towards]))
+    model.box((0.3, 4.8, 0.0), (1.0, 5.5, 0.7), 1)
+    model.box((1.4, 3.6, 0.0), (1.9, 4.1, 0.5), 2)
+    low = (4.3, 0.8, height - _LAMP_GAP)
+    high = (5.2, 1.7, height - _LAMP_GAP)
+    _shadow_of(model, low, high, height)
+    room = model.build("l_room", [diffuse(WHITE), diffuse(RED), diffuse((0.25, 0.4, 0.6))], vertices)
+    _lamp_panels([(low, high)], (14.0, 12.0, 10.0))
+    select_only(room)
+    return room
+
+
 def two_rooms(vertices: int = 10_000) -> bpy.types.Object:
     """Two closed rooms joined by a doorway; the lamp hangs in one, so the other has second-hand light only."""
     empty_scene()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from .discretization.patches import POINTS
 from .gathering.indirect_light import IndirectSettings
+from .gathering.near_field import NearFieldSettings
 
 #: Bytes, measured with tracemalloc on a Cornell box of 460,000 vertices and rounded up: a triangle while it is merged
 #: and sorted into the tree, a corner with its share of a receiver, a patch, and what does not grow.
@@ -49,6 +50,7 @@ def plan_for(accuracy: float) -> BakePlan:
             spacing=3.0 * effort**0.15,
             levels=3,
             tolerance=0.08 * effort**-0.4,
+            near=NearFieldSettings(samples=6, rays=_rays(48 * effort**0.5, 32, 96)),
         ),
     )
 

@@ -21,6 +21,7 @@ from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from .interpolation import interpolate
+from .near_field import NearFieldSettings, near_field
 from .receivers import Receivers
 
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
@@ -34,12 +35,13 @@ DENSE_RECEIVERS = 1200
 @dataclass(frozen=True)
 class IndirectSettings:
     """How finely to gather: rays per hemisphere, spacing of the coarse nodes in sides of a patch, levels of refinement,
-    and the relative difference above which a level is refined."""
+    the relative difference above which a level is refined, and how finely to look at what is near."""
 
     rays: int
     spacing: float
     levels: int
     tolerance: float
+    near: NearFieldSettings
 
 
 @dataclass
@@ -73,8 +75,10 @@ def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarr
 class _Gatherer:
     """Traces hemispheres of receivers, each at most once, and keeps their values."""
 
-    def __init__(self, solution: PatchSolution, receivers: Receivers, rays: int, seed: int):
-        self.solution, self.receivers, self.rays, self.seed = solution, receivers, rays, seed
+    def __init__(self, solution: PatchSolution, receivers: Receivers, direct: np.ndarray, settings: IndirectSettings, seed: int):
+        self.solution, self.receivers, self.direct, self.seed = solution, receivers, direct, seed
+        self.settings = settings
+        self.rays_traced = 0
         count = len(receivers)
         self.values = np.zeros((count, 3), np.float32)
         self.traced = np.zeros(count, bool)
@@ -84,24 +88,37 @@ class _Gatherer:
     def trace(self, who: np.ndarray) -> Generator[float, None, None]:
         """Gather at receivers `who` (n,) that are not traced yet, in blocks of bounded memory."""
         who = who[~self.traced[who]]
-        block = max(1, 4_000_000 // self.rays)
-        solution = self.solution
+        rays = self.settings.rays
+        block = max(1, 4_000_000 // rays)
+        solution, receivers = self.solution, self.receivers
         for start in range(0, len(who), block):
             part = who[start : start + block]
             work = gather(
                 solution.tracer,
                 solution.hits_to_rows,
-                self.receivers.points[part],
-                self.receivers.normals[part],
-                self.rays,
+                receivers.points[part],
+                receivers.normals[part],
+                rays,
                 solution.pool,
                 self.seed,
                 names=part,
             )
-            seen = yield from shared_progress(work, start / len(who), (start + len(part)) / len(who))
+            begin, end = start / len(who), (start + len(part)) / len(who)
+            seen = yield from shared_progress(work, begin, 0.3 * begin + 0.7 * end)
             if solution.meet(seen.rows):
                 yield from solution.follow()
-            self.values[part] = seen.irradiance(solution.table())
+            work = near_field(
+                solution,
+                receivers.points[part],
+                receivers.normals[part],
+                seen,
+                self.direct[part],
+                self.settings.near,
+                self.seed,
+                part,
+            )
+            self.values[part], spent = yield from shared_progress(work, 0.3 * begin + 0.7 * end, end)
+            self.rays_traced += spent + rays * len(part)
             self.dark[part] = solution.dark_rows()[seen.rows].mean(axis=1)
             self.distances[part] = seen.distances
             self.traced[part] = True
@@ -116,6 +133,7 @@ def indirect_light(
     solution: PatchSolution,
     receivers: Receivers,
     edges: np.ndarray,
+    direct: np.ndarray,
     settings: IndirectSettings,
     seed: int,
     deadline: float = inf,
@@ -126,15 +144,19 @@ def indirect_light(
     ----------
     edges : (e, 2) int32
         Receiver edges that cross no wall.
+    direct : (r, 3) float
+        Direct light of the receivers.
     deadline : float
         Of `time.perf_counter`; no further level of refinement is started after it.
     """
-    gatherer = _Gatherer(solution, receivers, settings.rays, seed)
+    gatherer = _Gatherer(solution, receivers, direct, settings, seed)
     count = len(receivers)
     if count <= DENSE_RECEIVERS:
         yield from gatherer.trace(np.arange(count))
-        return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, count * settings.rays)
+        return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, gatherer.rays_traced)
     spacing = solution.patches.spacing * settings.spacing
+    # Light falls steeply towards an edge and hardly changes along it: borders are nodes of borders only.
+    edges = edges[receivers.borders[edges[:, 0]] == receivers.borders[edges[:, 1]]]
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
     values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
     finest = levels[-1]
@@ -143,7 +165,7 @@ def indirect_light(
     )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
     buried = ~(found & valid[finest.clusters])
-    return IndirectLight(irradiance, buried, gatherer.count, gatherer.count * settings.rays, is_cut_short)
+    return IndirectLight(irradiance, buried, gatherer.count, gatherer.rays_traced, is_cut_short)
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:

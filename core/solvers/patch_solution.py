@@ -143,7 +143,7 @@ class PatchSolution:
         for side in sides:
             self.irradiance[side.rows] = _arriving(side, table)
             self.radiosity[side.rows] = (
-                self.emitted[side.rows] + self._reflectances[side.rows] * self.irradiance[side.rows]
+                self.emitted[side.rows] + self.reflectances[side.rows] * self.irradiance[side.rows]
             )
 
     def meet(self, rows: np.ndarray) -> bool:
@@ -218,7 +218,7 @@ class PatchSolution:
 
     def _iterate(self, tolerance: float) -> Generator[float, None, None]:
         """Fixed point of B = E + rho (D + F B), by Anderson's acceleration of Jacobi sweeps (Walker and Ni 2011)."""
-        rho = self._reflectances
+        rho = self.reflectances
         emitted = self.emitted
         radiosity = self.radiosity
         steps: list[np.ndarray] = []
@@ -245,7 +245,8 @@ class PatchSolution:
         return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
 
     @property
-    def _reflectances(self) -> np.ndarray:
+    def reflectances(self) -> np.ndarray:
+        """(2P, 3) of fronts and backs; 0 for the backs of what is enclosed."""
         back = self.reflectance * (self.two_sided & ~self.enclosed[self.patches.count :])[:, None]
         return np.concatenate([self.reflectance, back]).astype(np.float32)
 

@@ -9,7 +9,7 @@ after those is looked up, in patches much finer than a bake's. Two halves with t
 taken out of every error; the patches behind the last reflection are halved by `--patches` for their share.
 
 Receivers are drawn: as many on borders (where a face ends: edges, corners, contacts) as within faces; those inside
-solids have no light to compare. Errors are RMS over receivers and channels, over the mean irradiance of all receivers;
+solids, or hidden in a slot, have no light to compare. Errors are RMS over receivers and channels, over the mean irradiance of all receivers;
 "all" weighs borders by their true number.
 """
 
@@ -48,6 +48,9 @@ LEVELS = 2
 #: Rays per light where its visibility is in doubt, at receivers and at the reflections behind them.
 PENUMBRA_RAYS, HIT_PENUMBRA_RAYS = 1024, 16
 
+#: What faces something nearer than this part of the scene's size is seen by nobody: the slot between lamp and ceiling.
+HIDDEN = 1e-3
+
 #: Hits worked on at a time: a few hundred MB.
 BLOCK_HITS = 400_000
 
@@ -78,6 +81,11 @@ class _Paths:
         self.solution = pipeline._patch_solution(self.model, scene, plan, settings, pool)
         finish(self.solution.solve())
         self.table = self.solution.table()[:, :3]
+
+    def hidden(self) -> np.ndarray:
+        """(r,) bool: receivers that face something nearer than `HIDDEN`."""
+        starts = (self.receivers.points + np.float32(OFFSET) * self.receivers.normals).astype(np.float32)
+        return self.model.tracer.visibility(starts, np.float32(HIDDEN) * self.receivers.normals, 1.0) < 1
 
     def direct(self, points: np.ndarray, normals: np.ndarray, rays: int, everywhere: bool) -> np.ndarray:
         alone = np.empty((0, 2), np.int32)
@@ -139,7 +147,8 @@ def dense_reference(scene: Scene, count: int, rays: int, patches: int) -> tuple[
         paths = _Paths(scene, patches, pool)
         receivers = paths.receivers
         generator = np.random.default_rng(9)
-        kinds = (np.nonzero(receivers.borders)[0], np.nonzero(~receivers.borders)[0])
+        fair = ~paths.hidden()
+        kinds = (np.nonzero(receivers.borders & fair)[0], np.nonzero(~receivers.borders & fair)[0])
         chosen = np.concatenate([np.sort(generator.permutation(kind)[:count]) for kind in kinds])
         points, normals = receivers.points[chosen], receivers.normals[chosen]
         direct = paths.direct(points, normals, PENUMBRA_RAYS, True)

@@ -20,6 +20,7 @@ from ..form_factors.cached_hemispheres import gather
 from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+from .contacts import find_contacts
 from .interpolation import interpolate
 from .near_field import NearFieldSettings, near_field
 from .receivers import Receivers
@@ -155,10 +156,9 @@ def indirect_light(
         yield from gatherer.trace(np.arange(count))
         return IndirectLight(gatherer.values, gatherer.dark > BURIED, count, gatherer.rays_traced)
     spacing = solution.patches.spacing * settings.spacing
-    # Light falls steeply towards an edge and hardly changes along it: borders are nodes of borders only.
-    edges = edges[receivers.borders[edges[:, 0]] == receivers.borders[edges[:, 1]]]
-    levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
-    values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
+    contacts = find_contacts(solution.tracer, receivers, solution.pool)
+    levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1, contacts)
+    values, valid, is_cut_short = yield from _refine(gatherer, levels, contacts, settings, deadline)
     finest = levels[-1]
     irradiance, found = interpolate(
         receivers.points, receivers.normals, np.arange(count), finest.clusters, finest, values, valid, solution.pool
@@ -180,7 +180,7 @@ def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> 
     irradiance[traced[apart]] = own[apart]
 
 
-def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSettings, deadline: float):
+def _refine(gatherer: _Gatherer, levels: list[NodeLevel], contacts: np.ndarray, settings: IndirectSettings, deadline: float):
     """Values (k, 3) and validity (k,) of all nodes of the finest level, and whether time ran out."""
     receivers = gatherer.receivers
     level = levels[0]
@@ -190,7 +190,8 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
     valid = gatherer.dark[level.nodes] <= BURIED
     rough = _contrast(level, values, valid) > settings.tolerance
     for depth, finer in enumerate(levels[1:], 1):
-        near = gatherer.distances[level.nodes] < NEAR * level.spacing
+        # At a contact something is near at every level; there it is the change along the edge that counts.
+        near = (gatherer.distances[level.nodes] < NEAR * level.spacing) & ~contacts[level.nodes]
         wanted = _with_neighbors(level, rough | ~valid) | (near & gatherer.traced[level.nodes])
         parents = level.clusters
         guess, found = interpolate(

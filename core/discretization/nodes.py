@@ -115,7 +115,12 @@ def _coarsen(
 
 
 def build_levels(
-    points: np.ndarray, normals: np.ndarray, edges: np.ndarray, spacing: float, levels: int, apart: np.ndarray
+    points: np.ndarray,
+    normals: np.ndarray,
+    edges: np.ndarray,
+    spacing: float,
+    levels: int,
+    apart: np.ndarray | None = None,
 ) -> list[NodeLevel]:
     """Levels from the coarsest, whose cells measure `spacing`, to the finest, each half as wide as the one before.
 
@@ -129,7 +134,7 @@ def build_levels(
         Of the coarsest level, in unit lengths.
     levels : int
         How many.
-    apart : (r,) bool
+    apart : (r,) bool or None
         Receivers that share clusters with each other only, and have no others for neighbors. The others do have these,
         as a boundary value.
 
@@ -140,6 +145,7 @@ def build_levels(
     """
     out: list[NodeLevel] = []
     items = np.arange(len(points), dtype=np.int32)
+    apart = np.zeros(len(points), bool) if apart is None else apart
     for level in range(levels - 1, -1, -1):
         coarser = _coarsen(points, normals, apart, items, edges, spacing / 2**level)
         out.append(coarser)

@@ -20,7 +20,7 @@ from ..form_factors.cached_hemispheres import gather
 from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
-from .contacts import find_contacts
+from .contacts import find_contacts, find_ends
 from .interpolation import interpolate
 from .near_field import NearFieldSettings, near_field
 from .receivers import Receivers
@@ -28,6 +28,10 @@ from .receivers import Receivers
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
 #: sends it.
 NEAR = 0.4
+
+#: Clusters of the finest level with at most so many receivers are done to the last one where something stands near: a
+#: shelf's back edge is one cluster wide, and its two sides are lit differently.
+FEW = 4
 
 #: With no more receivers than this, nodes save nothing: gather everywhere.
 DENSE_RECEIVERS = 1200
@@ -160,12 +164,22 @@ def indirect_light(
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1, contacts)
     values, valid, is_cut_short = yield from _refine(gatherer, levels, contacts, settings, deadline)
     finest = levels[-1]
+    if not is_cut_short:
+        yield from gatherer.trace(_left_to_see(gatherer, finest, contacts))
     irradiance, found = interpolate(
         receivers.points, receivers.normals, np.arange(count), finest.clusters, finest, values, valid, solution.pool
     )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
-    buried = ~(found & valid[finest.clusters])
+    buried = ~(found & valid[finest.clusters]) | (gatherer.dark > BURIED)
     return IndirectLight(irradiance, buried, gatherer.count, gatherer.rays_traced, is_cut_short)
+
+
+def _left_to_see(gatherer: _Gatherer, finest: NodeLevel, contacts: np.ndarray) -> np.ndarray:
+    """Receivers of clusters that are still too wide for what stands near, where that is few; and ends of contacts."""
+    nodes = finest.nodes
+    wide = (gatherer.distances[nodes] < NEAR * finest.spacing) & ~contacts[nodes]
+    wide &= gatherer.traced[nodes] & (np.bincount(finest.clusters, minlength=len(nodes)) <= FEW)
+    return np.nonzero(wide[finest.clusters] | find_ends(gatherer.receivers, contacts))[0]
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:
@@ -189,6 +203,9 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], contacts: np.ndarray, 
     values = gatherer.values[level.nodes]
     valid = gatherer.dark[level.nodes] <= BURIED
     rough = _contrast(level, values, valid) > settings.tolerance
+    # A contact within one cell or two has too few around it to see that it changes.
+    fewer = (level.neighbors != np.arange(len(level.nodes))[:, None]).sum(axis=1) < 2
+    rough |= contacts[level.nodes] & fewer
     for depth, finer in enumerate(levels[1:], 1):
         # At a contact something is near at every level; there it is the change along the edge that counts.
         near = (gatherer.distances[level.nodes] < NEAR * level.spacing) & ~contacts[level.nodes]

@@ -89,7 +89,9 @@ class _Paths:
 
     def direct(self, points: np.ndarray, normals: np.ndarray, rays: int, everywhere: bool) -> np.ndarray:
         alone = np.empty((0, 2), np.int32)
-        work = direct_light(self.model.tracer, self.model.lights, points, normals, alone, rays, self.pool, 5, everywhere)
+        work = direct_light(
+            self.model.tracer, self.model.lights, points, normals, alone, rays, self.pool, 5, everywhere
+        )
         return finish(work)[0]
 
     def arriving(self, points, normals, square, levels: int) -> np.ndarray:
@@ -163,7 +165,9 @@ def errors(
     chosen, borders = reference.chosen, receivers.borders[reference.chosen]
     seen = ~buried[chosen]
     population = receivers.borders[~buried]
-    weight = np.where(borders, population.mean() / (borders & seen).sum(), (~population).mean() / (~borders & seen).sum())
+    weight = np.where(
+        borders, population.mean() / (borders & seen).sum(), (~population).mean() / (~borders & seen).sum()
+    )
     weight = weight * seen
     ours = np.concatenate([direct, indirect], axis=1)[chosen].astype(np.float64)
     whole = weight @ (reference.direct + reference.halves.mean(axis=0)).mean(axis=1)
@@ -236,7 +240,9 @@ def main() -> None:
         writer.writeheader()
         writer.writerows(rows)
     for row in rows:
-        sys.stdout.write(", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()) + "\n")
+        sys.stdout.write(
+            ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()) + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -80,7 +80,9 @@ def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarr
 class _Gatherer:
     """Traces hemispheres of receivers, each at most once, and keeps their values."""
 
-    def __init__(self, solution: PatchSolution, receivers: Receivers, direct: np.ndarray, settings: IndirectSettings, seed: int):
+    def __init__(
+        self, solution: PatchSolution, receivers: Receivers, direct: np.ndarray, settings: IndirectSettings, seed: int
+    ):
         self.solution, self.receivers, self.direct, self.seed = solution, receivers, direct, seed
         self.settings = settings
         self.rays_traced = 0
@@ -194,7 +196,9 @@ def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> 
     irradiance[traced[apart]] = own[apart]
 
 
-def _refine(gatherer: _Gatherer, levels: list[NodeLevel], contacts: np.ndarray, settings: IndirectSettings, deadline: float):
+def _refine(
+    gatherer: _Gatherer, levels: list[NodeLevel], contacts: np.ndarray, settings: IndirectSettings, deadline: float
+):
     """Values (k, 3) and validity (k,) of all nodes of the finest level, and whether time ran out."""
     receivers = gatherer.receivers
     level = levels[0]

@@ -33,7 +33,7 @@ def solved(scene, accuracy=0.1, seed=0):
 def fixed_point(solution, sweeps=2000):
     """Radiosity (2P, 3) by plain sweeps over the same rays in float64, with the same points left out."""
     radiosity = solution.emitted.astype(float)
-    rho = solution._reflectances.astype(float)
+    rho = solution.reflectances.astype(float)
     sides = list(solution.gathered_sides())
     for _ in range(sweeps):
         table = np.zeros((solution.hits_to_rows.rows, 3))

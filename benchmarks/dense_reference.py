@@ -5,12 +5,12 @@
 The reference asks the scene as the bake sees it, at the bake's own receivers, so it measures the method and nothing
 else. It shares no node, no interpolation and no patch that a receiver sees: all its rays are followed on for `LEVELS`
 reflections, each with the lights' direct light in closed form and visibility by rays, and only the light that comes
-after those is looked up, in patches much finer than a bake's. Two halves with turned samples tell its own noise, which is
-taken out of every error; the patches behind the last reflection are halved by `--patches` for their share.
+after those is looked up, in patches much finer than a bake's. Two halves with turned samples tell its own noise, which
+is taken out of every error; the share of the patches behind the last reflection shows by another `--patches`.
 
 Receivers are drawn: as many on borders (where a face ends: edges, corners, contacts) as within faces; those inside
-solids, or hidden in a slot, have no light to compare. Errors are RMS over receivers and channels, over the mean irradiance of all receivers;
-"all" weighs borders by their true number.
+solids, or hidden in a slot, have no light to compare. Errors are RMS over receivers and channels, over the mean
+irradiance of all receivers; "all" weighs borders by their true number.
 """
 
 from __future__ import annotations

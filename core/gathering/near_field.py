@@ -1,4 +1,4 @@
-"""What stands next to a receiver, asked again by rays: the mend for patches that are too coarse to be looked at closely.
+"""What stands next to a receiver, asked again by rays: the mend for patches too coarse to be looked at closely.
 
 A patch has one radiosity. From afar that is as good as any, since many patches share a hemisphere; in a corner half the
 hemisphere lies on one patch of the wall beside it, and what is wanted is the light at that very edge, not the patch's
@@ -31,7 +31,7 @@ from ..visibility.embree import CHUNK_RAYS, OFFSET
 NEAR = 2.0
 
 #: Least part of the hemisphere on near patches for which they are asked again.
-LEAST_SHARE = 0.1
+LEAST_SHARE = 0.2
 
 #: Cosine between normals up to which a patch counts as one with the surface that the receiver lies on.
 ALIKE = 0.9
@@ -115,7 +115,7 @@ def _near_hits(solution, points, seen, samples):
     """Receivers with something near, the share of their rays that meets it, and `samples` of those rays."""
     patches = solution.patches
     middles, sides = patches.points.mean(axis=1), np.sqrt(patches.areas).astype(np.float32)
-    candidates = np.flatnonzero(seen.distances < 2 * NEAR * sides.max())
+    candidates = np.flatnonzero(seen.distances < 1.5 * NEAR * sides.max())
     which, shares, picks = [], [], []
     rays = seen.rows.shape[1]
     block = max(1, 8 * CHUNK_RAYS // rays)

@@ -1,4 +1,4 @@
-"""Light at contacts: as good as within faces, told by the estimate, exact where all is uniform; and what a contact is."""
+"""Light at contacts: as good as within faces, told by the estimate, exact where all is uniform; what a contact is."""
 
 from functools import cache
 
@@ -85,7 +85,7 @@ def crate_in_room():
     room, sides, _ = box((4.0, 4.0, 4.0), 4)
     crate, faces, which = box((1.0, 1.0, 1.0), 4)
     faces = faces[which != 4, ::-1]
-    vertices = np.concatenate([room, crate + (1.5, 1.5, 0.0)])
+    vertices = np.concatenate([room, crate + np.array([1.5, 1.5, 0.0])])
     faces = np.concatenate([sides, faces + len(room)])
     scene = scene_from_quads(vertices, faces, np.zeros(len(faces)), [[0.5] * 3], [[1.0] * 3])
     frame = Frame.around(vertices)

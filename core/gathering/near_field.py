@@ -140,7 +140,7 @@ def _near_hits(solution, points, seen, samples):
 
 def _hit_again(solution, points, normals, directions, rows):
     """Where rays (n, 3) hit, the normals there towards where they come from, and whether that is on the patch that they
-    were looked up on: behind a veil it may not be."""
+    were looked up on and in sight: behind a veil it may not be."""
     starts = (points + np.float32(OFFSET) * normals).astype(np.float32)
     places, facing = np.empty_like(starts), np.empty_like(starts)
     sound = np.empty(len(starts), bool)
@@ -154,6 +154,9 @@ def _hit_again(solution, points, normals, directions, rows):
         towards = np.where(np.einsum("ij,ij->i", towards, along)[:, None] > 0, -towards, towards)
         places[start:stop] = starts[start:stop] + hits["tfar"][:, None] * along
         facing[start:stop] = towards
+        # In an acute corner a place lifted off one wall may end up behind the other: back to the receiver it must see.
+        lifted = places[start:stop] + np.float32(OFFSET) * towards
+        sound[start:stop] &= solution.tracer.visibility(lifted, starts[start:stop] - lifted) > 0
 
     solution.pool.run(work, len(starts), CHUNK_RAYS)
     return places, facing, sound

@@ -50,7 +50,7 @@ def plan_for(accuracy: float) -> BakePlan:
             spacing=3.0 * effort**0.15,
             levels=3,
             tolerance=0.08 * effort**-0.4,
-            near=NearFieldSettings(samples=5, rays=_rays(48 * effort**0.5, 32, 96)),
+            near=NearFieldSettings(samples=6, rays=_rays(48 * effort**0.5, 32, 96)),
         ),
     )
 

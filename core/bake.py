@@ -151,7 +151,9 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         with clock.stage("indirect light"):
             free = uncut_edges(model.tracer, receivers, pool)
             deadline = clock.started + settings.time_limit if settings.time_limit else inf
-            work = indirect_light(solution, receivers, receivers.edges[free], plan.indirect, settings.seed, deadline)
+            work = indirect_light(
+                solution, receivers, receivers.edges[free], direct, plan.indirect, settings.seed, deadline
+            )
             indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
         with clock.stage("fill"):
             light = np.concatenate([direct, indirect.irradiance], axis=1)

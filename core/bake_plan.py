@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from .discretization.patches import POINTS
 from .gathering.indirect_light import IndirectSettings
+from .gathering.near_hits import NearHitsSettings
 
 #: Bytes, rounded up from the largest resident memory of whole bakes in Blender (`benchmarks/memory.py`), reading
 #: included: of curved meshes, since those with flat walls take a third. A triangle while it is traced, a corner with
@@ -54,6 +55,7 @@ def plan_for(accuracy: float) -> BakePlan:
             levels=3,
             tolerance=0.08 * effort**-0.4,
             detail=0.5 * accuracy,
+            near=NearHitsSettings(samples=6, rays=_rays(48 * effort**0.5, 32, 96), noise=0.5 * accuracy),
         ),
     )
 

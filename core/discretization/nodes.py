@@ -36,7 +36,7 @@ class NodeLevel:
     edges : (e, 2) int32
         Pairs of clusters joined along the surface.
     neighbors : (k, MAX_NEIGHBORS) int32
-        Clusters joined to each; its own number where there are fewer.
+        Clusters joined to each, to those set apart only such; its own number where there are fewer.
     """
 
     spacing: float
@@ -70,13 +70,18 @@ def connected_labels(count: int, edges: np.ndarray) -> np.ndarray:
     return parent
 
 
-def neighbor_table(count: int, edges: np.ndarray) -> np.ndarray:
-    """(count, MAX_NEIGHBORS) int32 what each item is joined to by undirected edges (e, 2), filled up with itself."""
+def neighbor_table(count: int, edges: np.ndarray, apart: np.ndarray | None = None) -> np.ndarray:
+    """(count, MAX_NEIGHBORS) int32 what each item is joined to by undirected edges (e, 2), filled up with itself.
+
+    Items that stand `apart` (count,) take no others for neighbors, but may be theirs.
+    """
     table = np.repeat(np.arange(count, dtype=np.int32)[:, None], MAX_NEIGHBORS, axis=1)
     if not len(edges):
         return table
     source = np.concatenate([edges[:, 0], edges[:, 1]])
     target = np.concatenate([edges[:, 1], edges[:, 0]])
+    kept = slice(None) if apart is None else ~apart[source] | apart[target]
+    source, target = source[kept], target[kept]
     order = np.argsort(source, kind="stable")
     source, target = source[order], target[order]
     starts = np.searchsorted(source, np.arange(count))
@@ -87,7 +92,7 @@ def neighbor_table(count: int, edges: np.ndarray) -> np.ndarray:
 
 
 def _coarsen(
-    points: np.ndarray, normals: np.ndarray, items: np.ndarray, edges: np.ndarray, spacing: float
+    points: np.ndarray, normals: np.ndarray, apart: np.ndarray, items: np.ndarray, edges: np.ndarray, spacing: float
 ) -> NodeLevel:
     """Clusters of `items` (receiver numbers), joined by `edges` between items."""
     count = len(items)
@@ -96,6 +101,7 @@ def _coarsen(
     cells = row_keys(
         *np.floor(place / np.float32(spacing)).astype(np.int32).T,
         *np.rint(facing * np.float32(NORMAL_STEPS)).astype(np.int32).T,
+        apart[items],
     )
     inside = cells[edges[:, 0]] == cells[edges[:, 1]]
     del cells
@@ -111,11 +117,17 @@ def _coarsen(
     first = np.searchsorted(clusters[order], np.arange(total))
     between = edges[~inside]
     joined = unique_pairs(clusters[between[:, 0]], clusters[between[:, 1]], max(total, 1))
-    return NodeLevel(spacing, items[order[first]].astype(np.int32), clusters, joined, neighbor_table(total, joined))
+    nodes = items[order[first]].astype(np.int32)
+    return NodeLevel(spacing, nodes, clusters, joined, neighbor_table(total, joined, apart[nodes]))
 
 
 def build_levels(
-    points: np.ndarray, normals: np.ndarray, edges: np.ndarray, spacing: float, levels: int
+    points: np.ndarray,
+    normals: np.ndarray,
+    edges: np.ndarray,
+    spacing: float,
+    levels: int,
+    apart: np.ndarray | None = None,
 ) -> list[NodeLevel]:
     """Levels from the coarsest, whose cells measure `spacing`, to the finest, each half as wide as the one before.
 
@@ -129,6 +141,9 @@ def build_levels(
         Of the coarsest level, in unit lengths.
     levels : int
         How many.
+    apart : (r,) bool or None
+        Receivers that share clusters with each other only, and have no others for neighbors. The others do have these,
+        as a boundary value.
 
     Returns
     -------
@@ -137,8 +152,9 @@ def build_levels(
     """
     out: list[NodeLevel] = []
     items = np.arange(len(points), dtype=np.int32)
+    apart = np.zeros(len(points), bool) if apart is None else apart
     for level in range(levels - 1, -1, -1):
-        coarser = _coarsen(points, normals, items, edges, spacing / 2**level)
+        coarser = _coarsen(points, normals, apart, items, edges, spacing / 2**level)
         out.append(coarser)
         items, edges = coarser.nodes, coarser.edges
     return out[::-1]

@@ -222,6 +222,14 @@ class Gathered:
         return out
 
 
+def chosen_directions(normals: np.ndarray, rays: int, seed: int, names: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Directions (n, k, 3) float32 of the `chosen` (n, k) rays among the `rays` that `gather` sends for the same seed
+    and names (n,) from points with these normals (n, 3)."""
+    turns = turns_of(int(names.max()) + 1 if len(names) else 0, seed)[names]
+    local = hemisphere_directions(rays)[variants_of(names)[:, None], chosen]
+    return np.matmul(local, turned_frames(normals, turns)).astype(np.float32)
+
+
 def gather(
     tracer: Tracer,
     hits_to_rows: HitTable,

@@ -21,8 +21,10 @@ from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
 from .closeup import Closeup
+from .contacts import find_contacts, find_ends
 from .interpolation import interpolate
-from .near_field import has_near_field, near_field, paths_for
+from .near_field import near_field
+from .near_hits import NearHitsSettings
 from .receivers import Receivers
 
 #: Nodes are refined where something stands nearer than this many spacings: light changes over the distance to what
@@ -32,6 +34,9 @@ NEAR = 0.4
 #: Where so near a thing gives more than this many times the mean light, every receiver is asked: behind a window's
 #: frame, or in the shade of a lamp, the light changes within the finest cluster, and by more than there is elsewhere.
 BRIGHT = 4.0
+#: Clusters of the finest level with at most so many receivers are done to the last one where something stands near: a
+#: shelf's back edge is one cluster wide, and its two sides are lit differently.
+FEW = 4
 
 #: With no more receivers than this, nodes save nothing: gather everywhere.
 DENSE_RECEIVERS = 1200
@@ -40,14 +45,15 @@ DENSE_RECEIVERS = 1200
 @dataclass(frozen=True)
 class IndirectSettings:
     """How finely to gather: rays per hemisphere, spacing of the coarse nodes in sides of a patch, levels of refinement,
-    the relative difference above which a level is refined, and the part of a receiver's light that a single ray may
-    carry before its neighborhood is looked at closely."""
+    the relative difference above which a level is refined, the part of a receiver's light that a single ray may carry
+    before its neighborhood is looked at closely, and how finely to look at what is near."""
 
     rays: int
     spacing: float
     levels: int
     tolerance: float
     detail: float
+    near: NearHitsSettings
 
 
 @dataclass
@@ -83,10 +89,13 @@ def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarr
 class _Gatherer:
     """Traces hemispheres of receivers, each at most once, and keeps their values."""
 
-    def __init__(self, solution: PatchSolution, receivers: Receivers, rays: int, detail: float, seed: int):
-        self.solution, self.receivers, self.rays, self.seed = solution, receivers, rays, seed
+    def __init__(
+        self, solution: PatchSolution, receivers: Receivers, direct: np.ndarray, settings: IndirectSettings, seed: int
+    ):
+        self.solution, self.receivers, self.direct, self.seed = solution, receivers, direct, seed
+        self.settings, self.rays = settings, settings.rays
         count = len(receivers)
-        self.closeup = Closeup(solution, count, detail)
+        self.closeup = Closeup(solution, count, settings.detail)
         self.values = np.zeros((count, 3), np.float32)
         self.traced = np.zeros(count, bool)
         self.dark = np.zeros(count, np.float32)
@@ -119,10 +128,18 @@ class _Gatherer:
             marked = self.closeup.marked(part, normals, around[start : start + block])
             work = self.closeup.values(points, normals, seen.rows, marked, self.values[part], part, self.seed)
             self.values[part], closer = yield from shared_progress(work, second, third)
-            close = np.nonzero(has_near_field(solution, seen.distances) & (self.dark[part] <= BURIED))[0]
-            work = near_field(solution, points[close], normals[close], paths_for(self.rays), part[close], self.seed)
-            correction, nearer = yield from shared_progress(work, third, last)
-            self.values[part[close]] = np.maximum(self.values[part[close]] + correction, 0)
+            work = near_field(
+                solution,
+                points,
+                normals,
+                seen,
+                self.values[part],
+                self.direct[part],
+                self.settings.near,
+                self.seed,
+                part,
+            )
+            self.values[part], nearer = yield from shared_progress(work, third, last)
             self.spent += closer + nearer
 
     @property
@@ -135,6 +152,7 @@ def indirect_light(
     solution: PatchSolution,
     receivers: Receivers,
     edges: np.ndarray,
+    direct: np.ndarray,
     settings: IndirectSettings,
     seed: int,
     deadline: float = inf,
@@ -145,10 +163,12 @@ def indirect_light(
     ----------
     edges : (e, 2) int32
         Receiver edges that cross no wall.
+    direct : (r, 3) float
+        Direct light of the receivers.
     deadline : float
         Of `time.perf_counter`; no further level of refinement is started after it.
     """
-    gatherer = _Gatherer(solution, receivers, settings.rays, settings.detail, seed)
+    gatherer = _Gatherer(solution, receivers, direct, settings, seed)
     count = len(receivers)
     if count <= DENSE_RECEIVERS:
         near = _two_rings(neighbor_table(count, edges))
@@ -156,32 +176,38 @@ def indirect_light(
         buried = gatherer.dark > BURIED
         return IndirectLight(gatherer.values, buried, count, gatherer.spent, gatherer.closeup, near.__getitem__)
     spacing = solution.patches.spacing * settings.spacing
-    levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1)
-    values, valid, is_cut_short = yield from _refine(gatherer, levels, settings, deadline)
+    contacts = find_contacts(solution.tracer, receivers, solution.pool)
+    levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1, contacts)
+    values, valid, is_cut_short = yield from _refine(gatherer, levels, contacts, settings, deadline)
     finest = levels[-1]
-    irradiance, found = interpolate(
-        receivers.points, receivers.normals, np.arange(count), finest.clusters, finest, values, valid, solution.pool
-    )
 
     def around(who: np.ndarray) -> np.ndarray:
         return finest.nodes[_two_rings(finest.neighbors, finest.clusters[who])]
 
     if not is_cut_short:
-        nook = _among_bright_things(gatherer, finest, values, valid)
-        yield from gatherer.trace(nook, around(nook))
+        left = _left_to_see(gatherer, finest, contacts, values, valid)
+        yield from gatherer.trace(left, around(left))
+    irradiance, found = interpolate(
+        receivers.points, receivers.normals, np.arange(count), finest.clusters, finest, values, valid, solution.pool
+    )
     _keep_own(irradiance, gatherer, 0.5 * settings.tolerance)
-    buried = ~(found & valid[finest.clusters])
+    buried = ~(found & valid[finest.clusters]) | (gatherer.dark > BURIED)
     return IndirectLight(irradiance, buried, gatherer.count, gatherer.spent, gatherer.closeup, around, is_cut_short)
 
 
-def _among_bright_things(gatherer: _Gatherer, finest: NodeLevel, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Receivers (n,) of the finest clusters to which something stands near that makes them much brighter than most."""
-    if not valid.any():
-        return np.empty(0, np.int64)
-    bright = (values > BRIGHT * values[valid].mean(axis=0)).any(axis=1)
-    near = gatherer.traced[finest.nodes] & (gatherer.distances[finest.nodes] < NEAR * finest.spacing)
-    wanted = _with_neighbors(finest, bright & near & valid)
-    return np.nonzero(wanted[finest.clusters])[0]
+def _left_to_see(
+    gatherer: _Gatherer, finest: NodeLevel, contacts: np.ndarray, values: np.ndarray, valid: np.ndarray
+) -> np.ndarray:
+    """Receivers (n,) of clusters that are still too wide for what stands near, where they are few or much brighter than
+    most; and ends of contacts."""
+    nodes = finest.nodes
+    near = gatherer.traced[nodes] & (gatherer.distances[nodes] < NEAR * finest.spacing)
+    few = np.bincount(finest.clusters, minlength=len(nodes)) <= FEW
+    wanted = near & few & ~contacts[nodes]
+    if valid.any():
+        bright = (values > BRIGHT * values[valid].mean(axis=0)).any(axis=1)
+        wanted |= _with_neighbors(finest, bright & near & valid)
+    return np.nonzero(wanted[finest.clusters] | find_ends(gatherer.receivers, contacts))[0]
 
 
 def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> None:
@@ -196,7 +222,9 @@ def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> 
     irradiance[traced[apart]] = own[apart]
 
 
-def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSettings, deadline: float):
+def _refine(
+    gatherer: _Gatherer, levels: list[NodeLevel], contacts: np.ndarray, settings: IndirectSettings, deadline: float
+):
     """Values (k, 3) and validity (k,) of all nodes of the finest level, and whether time ran out."""
     receivers = gatherer.receivers
     level = levels[0]
@@ -205,8 +233,12 @@ def _refine(gatherer: _Gatherer, levels: list[NodeLevel], settings: IndirectSett
     values = gatherer.values[level.nodes]
     valid = gatherer.dark[level.nodes] <= BURIED
     rough = _contrast(level, values, valid) > settings.tolerance
+    # A contact within one cell or two has too few around it to see that it changes.
+    fewer = (level.neighbors != np.arange(len(level.nodes))[:, None]).sum(axis=1) < 2
+    rough |= contacts[level.nodes] & fewer
     for depth, finer in enumerate(levels[1:], 1):
-        near = gatherer.distances[level.nodes] < NEAR * level.spacing
+        # At a contact something is near at every level; there it is the change along the edge that counts.
+        near = (gatherer.distances[level.nodes] < NEAR * level.spacing) & ~contacts[level.nodes]
         wanted = _with_neighbors(level, rough | ~valid) | (near & gatherer.traced[level.nodes])
         parents = level.clusters
         guess, found = interpolate(

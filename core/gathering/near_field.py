@@ -1,191 +1,80 @@
-"""Light from what stands nearer than a patch is wide: followed by paths, not looked up.
+"""The near field: patches nearer than they are wide are not good enough, and are asked again by rays.
 
-A patch has one radiosity. Seen from afar its light and shade average out; seen from a gap that is narrower than itself
-they do not: the floor under a wall's foot, a board's breadth wide, would shine with the light beside it. Rays that end
-nearer than the size of the patch they meet go on from there, with light drawn at each stop, until one ends far enough
-away for its patch to be trusted. Where light is even, both ways agree.
-
-What is added to the gathered light is the difference between the two, found by a few rays of their own: it is small
-wherever nothing is near, and so is its noise. Cost: some rays per near hit, so next to nothing in an open room, and
-about that of the hemispheres themselves where all is narrow. In the terms of the survey's final gather: patches stay
-the illuminators, but only from their own size on.
-
-The paths are those of Kajiya 1986, "The Rendering Equation". None is ended by chance: where light is even each gives
-the same.
+Two ways, each where it is better. Beside an edge about half of the hemisphere is near: those hits are gathered again
+(`near_hits`), with little noise. In a gap, where nearly all that is seen is near, what is near is dark or lit by what
+is near in turn: there paths are followed until they are out of it (`near_paths`), whose noise is as small as the light
+in a gap.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 
-from ..form_factors.cached_hemispheres import VARIANTS, hemisphere_directions, turns_of
-from ..frames import turned_frames
-from ..lights.direct_light import direct_light
-from ..lights.sampling import PLASTIC
+from ..form_factors.cached_hemispheres import Gathered
 from ..progress import shared_progress
 from ..solvers.patch_solution import PatchSolution
-from ..visibility.embree import CHUNK_RAYS, OFFSET
+from .near_hits import NearHitsSettings, find_near_hits, gather_near_hits
+from .near_paths import follow_paths, paths_for
 
-#: A hit is near when it is nearer than this many sides of the patch that it meets. At two, what a patch that a shadow
-#: cuts gives too much here is what the next one gives too little; at one, a gap still got a third too much.
-REACH = 2.0
+#: Share of near hits from which a receiver counts as standing in a gap. In the corner of a room it is three quarters.
+GAP = 0.85
 
-#: From the first stop on the reach is this many times less: a path's error is one of many there, and dimmed.
-LATER = np.float32(2)
+#: By what factor near hits grow in number where they are too few.
+MORE = 8
 
-#: Stops of a path at most: then the patch is trusted after all.
-MAX_STOPS = 16
-
-#: Rays to a light from each stop, and lights asked: other paths stop elsewhere, so little is needed.
-SHADOW_RAYS = 2
-MOST_LIGHTS = 6
-
-#: How far before what it meets a path goes on, at most half-way.
-SHORT = 4 * OFFSET
-
-#: What is left of a path's light when the patch is trusted after all.
-FAINT = 0.05
-
-#: A receiver has a near field when the harmonic mean distance of its hits is less than this many times the largest
-#: reach: an eighth of its rays may end within it.
-SHARE = 8.0
-
-
-def paths_for(rays: int) -> int:
-    """Paths that go with this many directions of a hemisphere: what they find is added to what those have found."""
-    return max(48, rays // 6)
-
-
-def reach_of_rows(solution: PatchSolution) -> np.ndarray:
-    """(rows,) float32 distance up to which a hit on each row of the table is near; 0 for sky and what is black."""
-    reach = np.zeros(solution.hits_to_rows.rows, np.float32)
-    count = solution.patches.count
-    reach[:count] = reach[count : 2 * count] = REACH * np.sqrt(solution.patches.areas)
-    return reach
-
-
-def has_near_field(solution: PatchSolution, distances: np.ndarray) -> np.ndarray:
-    """(n,) bool: whether receivers whose hits lie at these harmonic mean distances (n,) may meet something near."""
-    return distances < SHARE * reach_of_rows(solution).max()
+#: Light of a receiver, as part of the mean, below which its noise matters no more than there.
+DIM = 0.25
 
 
 def near_field(
-    solution: PatchSolution, points: np.ndarray, normals: np.ndarray, rays: int, names: np.ndarray, seed: int
+    solution: PatchSolution,
+    points: np.ndarray,
+    normals: np.ndarray,
+    seen: Gathered,
+    arriving: np.ndarray,
+    direct: np.ndarray,
+    settings: NearHitsSettings,
+    seed: int,
+    names: np.ndarray,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """What n receivers' irradiance (n, 3) differs by from what the patches give, and the rays it took.
-
-    Parameters
-    ----------
-    points, normals : (n, 3) float32
-    rays : int
-        Paths per receiver.
-    names : (n,) int
-        Numbers of the receivers, which turn their directions.
-    """
-    count = len(points)
-    out = np.zeros((count, 3))
-    if not count:
-        return out, 0
-    frames = turned_frames(normals, turns_of(int(names.max()) + 1, seed + 1)[names]).astype(np.float32, copy=False)
-    directions = np.matmul(hemisphere_directions(rays)[names % VARIANTS], frames).reshape(-1, 3)
-    owners = np.repeat(np.arange(count), rays)
-    starts = np.repeat(points + np.float32(OFFSET) * normals, rays, axis=0)
-    generator = np.random.default_rng([seed, int(names[0]), count])
-    reach, shares, spent = reach_of_rows(solution), np.ones((len(owners), 3), np.float32), 0
-    for stop in range(MAX_STOPS + 1):
-        rows, places, facing, distances = _met(solution, starts, directions, generator)
-        spent += len(rows)
-        if solution.meet(rows):
-            yield from solution.follow()
-        table = solution.table()[:, :3]
-        near = distances < reach[rows]
-        if stop == 0:
-            reach /= LATER
-            # The patches' own answer is there already.
-            _add(out, owners[near], -table[rows[near]])
-        else:
-            # Not by chance: a furnace would flicker.
-            near &= (shares.max(axis=1) > FAINT) & (stop < MAX_STOPS)
-            _add(out, owners[~near], shares[~near] * table[rows[~near]])
-        kept = np.nonzero(near)[0]
-        if not len(kept):
-            break
-        owners, shares, rows, places, facing = (a[kept] for a in (owners, shares, rows, places, facing))
-        reflectance = solution.reflectances[rows]
-        light, cost = yield from _lit(solution, places, facing, seed + stop, stop / (MAX_STOPS + 1))
-        spent += cost
-        _add(out, owners, shares * (solution.emitted[rows] + reflectance * light))
-        shares = shares * reflectance
-        lasting = np.nonzero(shares.max(axis=1) > 0)[0]
-        if not len(lasting):
-            break
-        owners, shares, places, facing = (a[lasting] for a in (owners, shares, places, facing))
-        starts, directions = places, _directions(generator, facing)
-    return out / rays, spent
-
-
-def _lit(solution: PatchSolution, places: np.ndarray, facing: np.ndarray, seed: int, done: float):
-    """Direct light (n, 3) at the stops of paths, and the rays it took."""
-    alone = np.empty((0, 2), np.int32)
-    work = direct_light(
-        solution.tracer,
-        solution.lights,
-        places,
-        facing,
-        alone,
-        SHADOW_RAYS,
-        solution.pool,
-        seed,
-        everywhere=True,
-        most=MOST_LIGHTS,
-    )
-    return (yield from shared_progress(work, done, done + 1 / (MAX_STOPS + 1)))
-
-
-def _met(solution: PatchSolution, starts: np.ndarray, directions: np.ndarray, generator: np.random.Generator):
-    """Row (n,), place (n, 3) just before it, normal (n, 3) towards it, and distance (n,) of what each ray meets."""
-    count = len(starts)
-    rows, distances = np.empty(count, np.int32), np.empty(count, np.float32)
-    places, facing = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    luck = None if solution.tracer.veil is None else _numbers(generator, count)
-
-    def work(start: int, stop: int) -> None:
-        origins, along = starts[start:stop], directions[start:stop]
-        hits = solution.tracer.closest(origins, along, None if luck is None else luck[start:stop])
-        rows[start:stop] = solution.hits_to_rows.look_up(hits, along)
-        far = np.where(hits["primID"] >= 0, hits["tfar"], np.float32(np.inf))
-        normals = hits["Ng"] / np.maximum(np.linalg.norm(hits["Ng"], axis=1, keepdims=True), np.float32(1e-30))
-        cosines = np.einsum("ij,ij->i", normals, along)
-        normals[cosines > 0] *= -1
-        # Short of the hit, and lifted only where that is not enough: lifted from the hit itself a path would leave the
-        # room through the crack where its walls meet.
-        short = np.minimum(np.float32(SHORT), np.float32(0.5) * hits["tfar"])
-        lift = np.maximum(np.float32(OFFSET) - short * np.abs(cosines), 0)
-        length = np.where(np.isfinite(far), hits["tfar"] - short, 0)
-        places[start:stop] = origins + length[:, None] * along + lift[:, None] * normals
-        distances[start:stop], facing[start:stop] = far, normals
-
-    solution.pool.run(work, count, CHUNK_RAYS)
-    return rows, places, facing, distances
-
-
-def _directions(generator: np.random.Generator, normals: np.ndarray) -> np.ndarray:
-    """(n, 3) float32, one direction by the cosine around each normal: those of neighboring rows, which are paths of one
-    receiver, spread well."""
-    index = np.arange(len(normals))
-    shift = generator.random(2)
-    square = ((shift[0] + index / PLASTIC) % 1.0).astype(np.float32)
-    turns = (2 * np.pi * ((shift[1] + index / PLASTIC**2) % 1.0)).astype(np.float32)
-    flat = np.sqrt(square)[:, None] * turned_frames(normals, turns)[:, 0]
-    return (flat + np.sqrt(1 - square)[:, None] * normals).astype(np.float32)
-
-
-def _numbers(generator: np.random.Generator, count: int) -> np.ndarray:
-    return generator.random(count, dtype=np.float32)
-
-
-def _add(out: np.ndarray, owners: np.ndarray, values: np.ndarray) -> None:
-    for channel in range(3):
-        out[:, channel] += np.bincount(owners, weights=values[:, channel], minlength=len(out))
+    """Irradiance (n, 3) of receivers whose `arriving` (n, 3) light has been looked up, with what is near asked again;
+    and the rays it took. Parameters as of `gather_near_hits`."""
+    near = find_near_hits(solution, points, seen, settings.samples)
+    in_gap = near.shares > GAP
+    beside = near.only(~in_gap)
+    work = gather_near_hits(solution, points, normals, seen, beside, arriving, direct, settings, seed, names)
+    mended, errors, spent = yield from shared_progress(work, 0.0, 0.4)
+    level = arriving.max(axis=1)
+    # Where the edge of a shadow is near, a few hits lie on either side by chance.
+    noisy = np.flatnonzero(errors > settings.noise * np.maximum(level, DIM * level.mean() if len(level) else 0))
+    if len(noisy):
+        those = Gathered(seen.rows[noisy], seen.distances[noisy])
+        more = find_near_hits(solution, points[noisy], those, MORE * settings.samples)
+        work = gather_near_hits(
+            solution,
+            points[noisy],
+            normals[noisy],
+            those,
+            more,
+            arriving[noisy],
+            direct[noisy],
+            replace(settings, samples=MORE * settings.samples),
+            seed,
+            names[noisy],
+        )
+        better, _, rays = yield from shared_progress(work, 0.4, 0.6)
+        mended = mended.copy()
+        mended[noisy] = better
+        spent += rays
+    gaps = near.which[in_gap]
+    if len(gaps):
+        paths = paths_for(seen.rows.shape[1])
+        work = follow_paths(solution, points[gaps], normals[gaps], paths, names[gaps], seed)
+        added, rays = yield from shared_progress(work, 0.6, 1.0)
+        mended = mended.copy()
+        mended[gaps] = np.maximum(arriving[gaps] + added, 0)
+        spent += rays
+    return mended, spent

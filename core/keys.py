@@ -57,11 +57,11 @@ def _pairs(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray, 
     return np.stack([keys // count, keys % count], axis=1).astype(np.int32), both
 
 
-def along_curve(points: np.ndarray) -> np.ndarray:
-    """Order (n,) of points (n, 3) in the unit frame along a curve that keeps neighbors together (Morton 1966)."""
+def curve_keys(points: np.ndarray) -> np.ndarray:
+    """Places (n,) uint64 of points (n, 3), in the unit frame, on a curve that keeps neighbors together (Morton 1966)."""
     cells = np.clip((points + 0.5) * 1024, 0, 1023).astype(np.uint64)
     key = np.zeros(len(points), np.uint64)
     for bit in range(10):
         for axis in range(3):
             key |= ((cells[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return np.argsort(key, kind="stable")
+    return key

@@ -21,9 +21,9 @@ from collections.abc import Callable, Generator
 import numpy as np
 
 from ..frames import tangents
-from ..keys import row_keys
+from ..keys import curve_keys, row_keys
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
-from .cached_hemispheres import HitTable, hemisphere_directions, turns_of, variants_of
+from .cached_hemispheres import HitTable, hemisphere_directions, turns_of_names, variants_of
 from .concentric import disk_to_square, square_to_disk
 
 #: Cells along a side of the square. A window of a fiftieth of the hemisphere covers five.
@@ -39,6 +39,10 @@ OVERLOOKED = 16.0
 #: Share of the cells from which nothing is small any more, and the even sample serves.
 MOST = 0.5
 
+#: How many of those before and after a receiver along a curve through all that have met something bright are asked
+#: too, and how far away they may be, in unit lengths.
+ALONG, NEARBY = 16, 0.1
+
 #: Receivers handled at a time.
 BLOCK = 2048
 
@@ -49,9 +53,18 @@ class BrightDirections:
     def __init__(self, count: int):
         self._slots = np.full(count, -1, np.int32)
         self._cells = np.empty((0, GRID * GRID // 8), np.uint8)
+        self._points = np.empty((0, 3), np.float32)
         self._normals = np.empty((0, 3), np.float32)
 
-    def note(self, who: np.ndarray, normals: np.ndarray, bright: np.ndarray, names: np.ndarray, seed: int) -> None:
+    def note(
+        self,
+        who: np.ndarray,
+        points: np.ndarray,
+        normals: np.ndarray,
+        bright: np.ndarray,
+        names: np.ndarray,
+        seed: int,
+    ) -> None:
         """Remember for receivers `who` (n,) which rays (n, N) of the even sample `gather` took met something bright.
 
         `names` and `seed` are those that `gather` was given.
@@ -64,14 +77,17 @@ class BrightDirections:
         cells[row, _cells_of_rays(bright.shape[1], names[some][row], ray, seed)] = True
         self._slots[who[some]] = len(self._cells) + np.arange(len(some), dtype=np.int32)
         self._cells = np.concatenate([self._cells, np.packbits(cells, axis=1)])
+        self._points = np.concatenate([self._points, points[some].astype(np.float32)])
         self._normals = np.concatenate([self._normals, normals[some].astype(np.float32)])
 
-    def around(self, who: np.ndarray, normals: np.ndarray, neighbors: np.ndarray) -> np.ndarray:
-        """(n, cells) bool: where neighbors (n, k) of receivers `who` (n,) have met something bright, and next to it."""
+    def around(self, who: np.ndarray, points: np.ndarray, normals: np.ndarray, neighbors: np.ndarray) -> np.ndarray:
+        """(n, cells) bool: where neighbors (n, k) of receivers `who` (n,), and others that stand near, have met
+        something bright, and next to it."""
         marked = np.zeros((len(who), GRID * GRID), bool)
         if not len(self._cells):
             return marked
-        slots = np.where(neighbors == who[:, None], -1, self._slots[neighbors])
+        slots = np.concatenate([self._slots[neighbors], self._along(points)], axis=1)
+        slots[slots == self._slots[who, None]] = -1
         row, column = np.nonzero(slots >= 0)
         slot = slots[row, column]
         pair, cell = np.nonzero(np.unpackbits(self._cells[slot], axis=1))
@@ -86,6 +102,16 @@ class BrightDirections:
         above = height > 0
         marked[row[above], _cells(disk[above])] = True
         return _dilated(marked)
+
+    def _along(self, points: np.ndarray) -> np.ndarray:
+        """(n, 2 * ALONG) slots of those that stand near each point (n, 3), -1 for none."""
+        keys = curve_keys(self._points)
+        order = np.argsort(keys, kind="stable").astype(np.int32)
+        place = np.searchsorted(keys[order], curve_keys(points))
+        window = place[:, None] + np.arange(-ALONG, ALONG)
+        slots = order[np.clip(window, 0, len(order) - 1)]
+        far = ((self._points[slots] - points[:, None]) ** 2).sum(axis=2) > NEARBY**2
+        return np.where(far, -1, slots)
 
 
 def sharpen(
@@ -201,7 +227,7 @@ def _cells_of_rays(rays: int, names: np.ndarray, which: np.ndarray, seed: int) -
     """Cell (m,) of ray number `which` (m,) of the even sample of the receivers with these names (m,)."""
     lattice = hemisphere_directions(rays)[:, :, :2]
     places = lattice[variants_of(names), which]
-    turns = turns_of(int(names.max()) + 1, seed)[names]
+    turns = turns_of_names(names, seed)
     cos, sin = np.cos(turns), np.sin(turns)
     x, y = places[:, 0], places[:, 1]
     return _cells(np.stack([cos * x - sin * y, sin * x + cos * y], axis=1))

@@ -46,9 +46,14 @@ def variants_of(names: np.ndarray) -> np.ndarray:
 
 
 def turns_of(count: int, seed: int) -> np.ndarray:
-    """Angles (count,) float32 for `turned_frames`, a well-mixed function of index and seed."""
+    """`turns_of_names` of the numbers below `count`."""
+    return turns_of_names(np.arange(count), seed)
+
+
+def turns_of_names(names: np.ndarray, seed: int) -> np.ndarray:
+    """Angles (n,) float32 for `turned_frames`, a well-mixed function of names (n,) and seed."""
     # Python integers, cut to 64 bits: NumPy warns when a scalar product wraps.
-    index = np.arange(count, dtype=np.uint64) + np.uint64(seed * 0x632BE59BD9B4E019 % 2**64)
+    index = names.astype(np.uint64) + np.uint64(seed * 0x632BE59BD9B4E019 % 2**64)
     index = (index ^ (index >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
     index = (index ^ (index >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     return ((index >> np.uint64(40)).astype(np.float32) * np.float32(2 * np.pi / 2**24)).astype(np.float32)
@@ -225,7 +230,7 @@ class Gathered:
 def chosen_directions(normals: np.ndarray, rays: int, seed: int, names: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Directions (n, k, 3) float32 of the `chosen` (n, k) rays among the `rays` that `gather` sends for the same seed
     and names (n,) from points with these normals (n, 3)."""
-    turns = turns_of(int(names.max()) + 1 if len(names) else 0, seed)[names]
+    turns = turns_of_names(names, seed)
     local = hemisphere_directions(rays)[variants_of(names)[:, None], chosen]
     return np.matmul(local, turned_frames(normals, turns)).astype(np.float32)
 
@@ -258,7 +263,7 @@ def gather(
     distances = np.empty(count, np.float32)
     lattice = hemisphere_directions(rays)
     names = np.arange(count) if names is None else np.asarray(names)
-    turns = turns_of(int(names.max()) + 1 if count else 0, seed)[names]
+    turns = turns_of_names(names, seed)
     variant = variants_of(names)
     starts = (points + np.float32(OFFSET) * normals).astype(np.float32)
     translucent = tracer.veil is not None

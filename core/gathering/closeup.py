@@ -34,18 +34,26 @@ class Closeup:
         self._brightest = 0.0
         self._dim = 0.0
 
-    def note(self, who: np.ndarray, normals: np.ndarray, rows: np.ndarray, values: np.ndarray, seed: int) -> None:
+    def note(
+        self,
+        who: np.ndarray,
+        points: np.ndarray,
+        normals: np.ndarray,
+        rows: np.ndarray,
+        values: np.ndarray,
+        seed: int,
+    ) -> None:
         """Remember what receivers `who` (n,) of irradiance `values` (n, 3) have seen in the table `rows` (n, N) of an
         even sample taken under their own numbers as names."""
         self._dim = max(self._dim, DIM * float(values.max(axis=1).mean())) if len(who) else self._dim
         brightness = self.solution.table()[:, :3].max(axis=1)[rows]
         bright = brightness > (self.detail * rows.shape[1] * self._levels(values))[:, None]
         self._brightest = max(self._brightest, float(brightness[bright].max(initial=0)))
-        self._known.note(who, normals, bright, who, seed)
+        self._known.note(who, points, normals, bright, who, seed)
 
-    def marked(self, who: np.ndarray, normals: np.ndarray, around: np.ndarray) -> np.ndarray:
+    def marked(self, who: np.ndarray, points: np.ndarray, normals: np.ndarray, around: np.ndarray) -> np.ndarray:
         """(n, cells) bool: where those around (n, k) receivers `who` (n,) say that something is."""
-        return self._known.around(who, normals, around)
+        return self._known.around(who, points, normals, around)
 
     def values(
         self,

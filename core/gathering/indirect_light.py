@@ -124,8 +124,8 @@ class _Gatherer:
             self.traced[part] = True
             self.spent += self.rays * len(part)
             self.values[part] = seen.irradiance(solution.table())
-            self.closeup.note(part, normals, seen.rows, self.values[part], self.seed)
-            marked = self.closeup.marked(part, normals, around[start : start + block])
+            self.closeup.note(part, points, normals, seen.rows, self.values[part], self.seed)
+            marked = self.closeup.marked(part, points, normals, around[start : start + block])
             work = self.closeup.values(points, normals, seen.rows, marked, self.values[part], part, self.seed)
             self.values[part], closer = yield from shared_progress(work, second, third)
             work = near_field(
@@ -180,9 +180,10 @@ def indirect_light(
     levels = build_levels(receivers.points, receivers.normals, edges, spacing, settings.levels + 1, contacts)
     values, valid, is_cut_short = yield from _refine(gatherer, levels, contacts, settings, deadline)
     finest = levels[-1]
+    beside = _joined(finest)
 
     def around(who: np.ndarray) -> np.ndarray:
-        return finest.nodes[_two_rings(finest.neighbors, finest.clusters[who])]
+        return finest.nodes[_two_rings(beside, finest.clusters[who])]
 
     if not is_cut_short:
         left = _left_to_see(gatherer, finest, contacts, values, valid)
@@ -229,7 +230,7 @@ def _refine(
     receivers = gatherer.receivers
     level = levels[0]
     share = 1 / len(levels)
-    yield from shared_progress(gatherer.trace(level.nodes, level.nodes[_two_rings(level.neighbors)]), 0.0, share)
+    yield from shared_progress(gatherer.trace(level.nodes, level.nodes[_two_rings(_joined(level))]), 0.0, share)
     values = gatherer.values[level.nodes]
     valid = gatherer.dark[level.nodes] <= BURIED
     rough = _contrast(level, values, valid) > settings.tolerance
@@ -254,7 +255,7 @@ def _refine(
         is_late = time.perf_counter() > deadline
         chosen = np.flatnonzero((wanted[parents] & (not is_late)) | ~found)
         above = level.nodes[np.concatenate([parents[chosen, None], level.neighbors[parents[chosen]]], axis=1)]
-        around = np.concatenate([finer.nodes[_two_rings(finer.neighbors, chosen)], above], axis=1)
+        around = np.concatenate([finer.nodes[_two_rings(_joined(finer), chosen)], above], axis=1)
         yield from shared_progress(gatherer.trace(finer.nodes[chosen], around), depth * share, (depth + 1) * share)
         known = gatherer.traced[finer.nodes]
         values = np.where(known[:, None], gatherer.values[finer.nodes], guess)
@@ -264,6 +265,11 @@ def _refine(
         rough = known & found & (error > settings.tolerance)
         level = finer
     return values, valid, time.perf_counter() > deadline
+
+
+def _joined(level: NodeLevel) -> np.ndarray:
+    """(k, n) all nodes joined to each: contacts see the same things as the rest."""
+    return neighbor_table(len(level.nodes), level.edges)
 
 
 def _two_rings(neighbors: np.ndarray, who: np.ndarray | None = None) -> np.ndarray:

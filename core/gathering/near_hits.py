@@ -33,6 +33,9 @@ NEAR = 2.0
 #: Least part of the hemisphere on near patches for which they are asked again.
 LEAST_SHARE = 0.2
 
+#: Hits of second gathers held at a time: some MB each of rows, directions and light.
+BLOCK_ROWS = 400_000
+
 #: Cosine between normals up to which a patch counts as one with the surface that the receiver lies on.
 ALIKE = 0.9
 
@@ -88,18 +91,39 @@ def gather_near_hits(
     direct : (n, 3) float
         Direct light at the receivers.
     """
-    which, share, picks = near.which, near.shares, near.picks
-    if not len(which):
-        return arriving, np.zeros(len(points)), 0
-    samples = settings.samples
-    who = np.repeat(which, samples)
-    rays = seen.rows.shape[1]
-    directions = chosen_directions(normals[which], rays, seed, names[which], picks).reshape(-1, 3)
-    rows = seen.rows[which[:, None], picks].ravel()
+    out, errors, spent = arriving.astype(np.float32), np.zeros(len(points)), 0
+    block = max(1, BLOCK_ROWS // max(near.picks.shape[1] * settings.rays, 1))
+    for start in range(0, len(near.which), block):
+        part = near.only(slice(start, start + block))
+        who = part.which
+        work = _gather_block(
+            solution,
+            points[who],
+            normals[who],
+            seen.rows[who],
+            part,
+            arriving[who],
+            direct[who],
+            settings,
+            seed,
+            names[who],
+        )
+        low, high = start / len(near.which), (start + len(who)) / len(near.which)
+        out[who], errors[who], rays = yield from shared_progress(work, low, high)
+        spent += rays
+    return out, errors, spent
+
+
+def _gather_block(solution, points, normals, seen, near, arriving, direct, settings, seed, names):
+    """The same for some receivers, all of which have near hits, in the table rows `seen` (n, N)."""
+    samples = near.picks.shape[1]
+    who = np.repeat(np.arange(len(points)), samples)
+    directions = chosen_directions(normals, seen.shape[1], seed, names, near.picks).reshape(-1, 3)
+    rows = np.take_along_axis(seen, near.picks, axis=1).ravel()
     places, facing, sound = _hit_again(solution, points[who], normals[who], directions, rows)
     who, rows = who[sound], rows[sound]
     places, facing = places[sound], facing[sound]
-    name = (names[which][:, None] * samples + np.arange(samples)).ravel()[sound]
+    name = (names[:, None] * samples + np.arange(samples)).ravel()[sound]
     work = gather(
         solution.tracer, solution.hits_to_rows, places, facing, settings.rays, solution.pool, seed + 1, names=name
     )
@@ -128,8 +152,7 @@ def gather_near_hits(
     known = _sums(who, differences, len(points)) / found
     scatter = np.maximum(_sums(who, differences**2, len(points)) / found - known**2, 0).max(axis=1)
     own = _sums(who, reflectance * count, len(points)) / found
-    weight = np.zeros((len(points), 1))
-    weight[which, 0] = share
+    weight = near.shares[:, None]
     mended = (arriving + weight * (known + own * direct)) / (1 - weight * own)
     errors = weight[:, 0] * np.sqrt(scatter / found[:, 0])
     return np.maximum(mended, 0).astype(np.float32), errors, shadow + settings.rays * len(who) + len(places)
@@ -142,7 +165,7 @@ def find_near_hits(solution: PatchSolution, points: np.ndarray, seen: Gathered, 
     candidates = np.flatnonzero(seen.distances < 1.5 * NEAR * sides.max())
     which, shares, picks = [], [], []
     rays = seen.rows.shape[1]
-    block = max(1, 8 * CHUNK_RAYS // rays)
+    block = max(1, CHUNK_RAYS // rays)
     for start in range(0, len(candidates), block):
         part = candidates[start : start + block]
         rows = seen.rows[part]
@@ -196,7 +219,7 @@ def _returning(solution, points, normals, places, again):
     reflected, looked_up = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
     table = solution.table()[:, :3]
     reflectances, emitted = solution.reflectances, solution.emitted
-    block = max(1, 4 * CHUNK_RAYS // rays)
+    block = max(1, CHUNK_RAYS // rays)
     for start in range(0, count, block):
         part = slice(start, start + block)
         rows = again.rows[part]

@@ -20,7 +20,7 @@ from collections.abc import Generator
 
 import numpy as np
 
-from ..form_factors.cached_hemispheres import VARIANTS, hemisphere_directions, turns_of
+from ..form_factors.cached_hemispheres import VARIANTS, hemisphere_directions, turns_of_names
 from ..frames import turned_frames
 from ..lights.direct_light import direct_light
 from ..lights.sampling import PLASTIC
@@ -79,7 +79,7 @@ def follow_paths(
     out = np.zeros((count, 3))
     if not count:
         return out, 0
-    frames = turned_frames(normals, turns_of(int(names.max()) + 1, seed + 1)[names]).astype(np.float32, copy=False)
+    frames = turned_frames(normals, turns_of_names(names, seed + 1)).astype(np.float32, copy=False)
     directions = np.matmul(hemisphere_directions(rays)[names % VARIANTS], frames).reshape(-1, 3)
     owners = np.repeat(np.arange(count), rays)
     starts = np.repeat(points + np.float32(OFFSET) * normals, rays, axis=0)

@@ -63,7 +63,7 @@ def probe_error(
         gather(solution.tracer, solution.hits_to_rows, points, normals, hemisphere, solution.pool, seed + 7919)
     )
     even, names = seen.irradiance(solution.table()), np.arange(len(chosen))
-    marked = indirect.closeup.marked(chosen, normals, indirect.around(chosen))
+    marked = indirect.closeup.marked(chosen, points, normals, indirect.around(chosen))
     gathered, closer = finish(indirect.closeup.values(points, normals, seen.rows, marked, even, names, seed + 7919))
     work = near_field(solution, points, normals, seen, gathered, lit, near, seed + 7919, names)
     mended, spent = finish(work)

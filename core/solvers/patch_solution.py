@@ -19,7 +19,6 @@ import numpy as np
 from ..discretization.patches import POINTS, Patches
 from ..form_factors.bright_directions import MOST, BrightDirections, sharpen
 from ..form_factors.cached_hemispheres import Gathered, HitTable, gather
-from ..keys import along_curve
 from ..lights import Light
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
@@ -44,9 +43,6 @@ MAX_SWEEPS = 200
 
 #: Bounces among backs that only receivers see.
 LATE_BOUNCES = 3
-
-#: Patches before and after each along a curve through all that are asked where the sky is.
-ASKED = 4
 
 #: Earlier steps that Anderson's acceleration looks back on.
 MEMORY = 8
@@ -216,10 +212,11 @@ class PatchSolution:
         bright = sky[:, :3].max(axis=1)[seen.rows] > (self.detail * self.rays * level)[:, None]
         names = np.arange(len(points))
         known = BrightDirections(len(points))
-        known.note(names, normals, bright, names, seed)
+        known.note(names, points, normals, bright, names, seed)
         # One look a patch, from its middle: light through a window changes little within it.
         middles = names[::each]
-        marked = known.around(middles, normals[middles], _near_points(points, each))
+        siblings = middles[:, None] + np.arange(each)
+        marked = known.around(middles, points[middles], normals[middles], siblings)
         chosen = np.flatnonzero(marked.any(axis=1) & (marked.mean(axis=1) <= MOST))
         middles = middles[chosen]
         values, rays = yield from sharpen(
@@ -371,17 +368,6 @@ def _share(marked: np.ndarray, rows: np.ndarray, which: np.ndarray) -> np.ndarra
         seen = marked[rows[which[start : start + block]]]
         out[start : start + block] = seen.sum(axis=1, dtype=np.int32) / np.float32(rows.shape[1])
     return out
-
-
-def _near_points(points: np.ndarray, each: int) -> np.ndarray:
-    """(n, k) numbers of the `each` points of each patch and of those before and after it along a curve; twice does no
-    harm."""
-    patches = len(points) // each
-    order = along_curve(points.reshape(-1, each, 3)[:, 0])
-    rank = np.empty(patches, np.int64)
-    rank[order] = np.arange(patches)
-    window = np.clip(rank[:, None] + np.arange(-ASKED, ASKED + 1), 0, patches - 1)
-    return (order[window][:, :, None] * each + np.arange(each)).reshape(patches, -1)
 
 
 def _rings(count: int, each: int) -> np.ndarray:

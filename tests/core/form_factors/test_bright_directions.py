@@ -111,8 +111,9 @@ def test_neighbors_tell_each_other_where_it_is_bright_and_nobody_himself():
     bright = np.zeros((3, rays), bool)
     bright[1, 5] = True
     known = BrightDirections(3)
-    known.note(names, normals, bright, names, seed)
-    marked = known.around(names, normals, np.array([[1, 2], [1, 0], [1, 0]]))
+    points = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]], np.float32)  # too far apart for others that stand near
+    known.note(names, points, normals, bright, names, seed)
+    marked = known.around(names, points, normals, np.array([[1, 2], [1, 0], [1, 0]]))
     assert marked[0].any() and not marked[1].any() and marked[2].any()
     assert marked.sum(axis=1).max() <= 9
     lattice = hemisphere_directions(rays)[variants_of(names)]

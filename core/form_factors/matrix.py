@@ -10,6 +10,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .hemicube import hemicube_rows
 from .hemisphere import SampledRows, hemisphere_rows
 from .identities import closure_error, reciprocity_error, repair
 from .quadrature import quadrature_rows
@@ -42,6 +43,7 @@ def _hemisphere(environment, visibility, accuracy, seed, threads):
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
     "hemisphere": Method(_hemisphere, ("embree",)),
+    "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",)),
     "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
 }
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from ..environment import Environment
 
-#: Corners, crossings or samples in one block: about ten temporaries of 4 MB each.
-BLOCK = 2**19
+#: Corners, crossings or samples in one block: about ten temporaries of 2 MB each.
+BLOCK = 2**18
 
 #: Distance from its plane, in sizes of the scene, within which a viewpoint sees a polygon edge-on, that is, not at all.
 #: Above the rounding of a normal whose polygon is 1e-6 as wide as long; below any gap that matters.
@@ -170,17 +170,19 @@ def _groups(lengths: np.ndarray):
 
 def _draw(viewpoints, projections, loops, grid, nearness, items):
     """Draw all polygons in some views: update their `nearness`, which is 1 / depth, and `items`, both flat."""
-    local = np.matmul(loops.corners - viewpoints[:, None], projections.transpose(0, 2, 1))
-    heights = np.einsum("vni,ni->vn", loops.anchors - viewpoints[:, None], loops.normals)
-    views, polygons = np.nonzero(_in_view(local, loops, grid) & (np.abs(heights) > loops.edge_on))
+    # Coordinates come first: the product of small matrices with long ones is fast, that of long with small is not.
+    local = np.matmul(projections, loops.corners.T - viewpoints[:, :, None])
+    views, polygons = np.nonzero(_in_view(local, loops, grid))
+    heights = np.einsum("ki,ki->k", loops.anchors[polygons] - viewpoints[views], loops.normals[polygons])
+    seen = np.flatnonzero(np.abs(heights) > loops.edge_on)
+    views, polygons, heights = views[seen], polygons[seen], heights[seen]
     if not len(views):
         return
-    heights = heights[views, polygons]
     # The plane n . p = h becomes N . (x, y, z) = h, so 1 / z is N . (X, Y, 1) / h at the image point (X, Y).
-    planes = np.einsum("vij,vi->vj", np.linalg.inv(projections)[views], loops.normals[polygons]) / heights[:, None]
+    planes = np.einsum("kij,kj->ki", _cofactors(projections)[views], loops.normals[polygons]) / heights[:, None]
     planes[heights > 0] *= 1 - BACK_FACE
     pairs, corners = _ranges(loops.offsets[polygons], np.diff(loops.offsets)[polygons])
-    ends = local[views[pairs], corners]
+    ends = local[views[pairs], :, corners].T
     # The loops of all pairs lie end to end, too, so an edge's second end is the entry of the next corner.
     ahead = np.arange(len(corners)) + loops.following[corners] - corners
     edges = _edge_rows(ends, ahead, pairs, grid)
@@ -193,10 +195,20 @@ def _draw(viewpoints, projections, loops, grid, nearness, items):
 
 def _in_view(local: np.ndarray, loops: Loops, grid: _Grid) -> np.ndarray:
     """(v, n) bool: polygons that do not lie wholly beyond one border of the view, or behind it."""
-    x, y, z = (local[:, :, i] for i in range(3))
-    beyond = (z <= 0, x < grid.low * z, x > grid.high * z, y < grid.rows[0] * z, y > grid.rows[-1] * z)
-    starts = loops.offsets[:-1]
-    return ~np.logical_or.reduce([np.logical_and.reduceat(side, starts, axis=1) for side in beyond])
+    x, y, z = (local[:, i] for i in range(3))
+    # One bit per border: what all corners of a polygon have in common is left of them after a bitwise and.
+    beyond = (z <= 0).view(np.uint8)
+    sides = (x < grid.low * z, x > grid.high * z, y < grid.rows[0] * z, y > grid.rows[-1] * z)
+    for bit, side in enumerate(sides, 1):
+        beyond |= side.view(np.uint8) << np.uint8(bit)
+    return np.bitwise_and.reduceat(beyond, loops.offsets[:-1], axis=1) == 0
+
+
+def _cofactors(projections: np.ndarray) -> np.ndarray:
+    """Transposed inverses of matrices (v, 3, 3), which take normals where the matrices take points."""
+    one, two, three = (projections[:, i] for i in range(3))
+    rows = np.stack((np.cross(two, three), np.cross(three, one), np.cross(one, two)), axis=1)
+    return rows / np.einsum("vi,vi->v", rows[:, 0], one)[:, None, None]
 
 
 def _edge_rows(ends, ahead, pairs, grid):
@@ -206,11 +218,11 @@ def _edge_rows(ends, ahead, pairs, grid):
     viewpoint, rows below a corner have it above them; behind, rows above the corner's image do.
     """
     # A corner beside the viewpoint lies infinitely high or low in the image.
-    depth = np.where(ends[:, 2] == 0, np.finfo(np.float64).tiny, ends[:, 2])
+    depth = np.where(ends[2] == 0, np.finfo(np.float64).tiny, ends[2])
     with np.errstate(over="ignore"):
-        image = ends[:, 1] / depth
+        image = ends[1] / depth
     front = depth > 0
-    rank = np.empty(len(ends), np.int64)
+    rank = np.empty(len(pairs), np.int64)
     rank[front] = np.searchsorted(grid.rows, image[front], side="right")
     rank[~front] = np.searchsorted(grid.rows, image[~front])
     low, high = np.minimum(rank, rank[ahead]), np.maximum(rank, rank[ahead])
@@ -218,7 +230,7 @@ def _edge_rows(ends, ahead, pairs, grid):
     passing = np.flatnonzero(front != front[ahead])
     first, last = low.copy(), high.copy()
     first[passing], last[passing] = 0, low[passing]
-    edge = np.concatenate((np.arange(len(ends)), passing))
+    edge = np.concatenate((np.arange(len(pairs)), passing))
     first, last = np.concatenate((first, high[passing])), np.concatenate((last, np.full(len(passing), grid.height)))
     crossing = np.flatnonzero(first < last)
     edge = edge[crossing]
@@ -234,8 +246,8 @@ def _spans(ends, ahead, edges, planes, grid):
     swapped = edge < 0
     one = np.where(swapped, ~edge, edge)
     one, other = np.where(swapped, ahead[one], one), np.where(swapped, one, ahead[one])
-    x, y, z = (ends[one, i][which] for i in range(3))
-    along_x, along_y, along_z = ((ends[other, i] - ends[one, i])[which] for i in range(3))
+    x, y, z = (ends[i, one][which] for i in range(3))
+    along_x, along_y, along_z = ((ends[i, other] - ends[i, one])[which] for i in range(3))
     level = grid.rows[row]
     over, drop = y - level * z, level * along_z - along_y
     share = np.clip(over / np.where(drop == 0, 1, drop), 0, 1)

@@ -2,8 +2,9 @@
 
 The buffer tells which polygons are seen through the four pixels around the direction of the target, and the segment is
 tested against these alone, exactly. So no surface hides itself, and what is called blocked is blocked; only within a
-pixel of a silhouette may a blocker be overlooked that lies behind another polygon or is smaller than a pixel. Choose it without a ray engine, and where many targets belong to
-few origins: six projections are made for each distinct origin, at a few milliseconds.
+pixel of a silhouette may a blocker be overlooked that lies behind another polygon or is smaller than a pixel. Choose it
+without a ray engine, and where many targets belong to few origins: six projections are made for each distinct origin,
+at a few milliseconds.
 """
 
 from __future__ import annotations
@@ -57,7 +58,6 @@ class CubeMaps:
         bounds = np.searchsorted(places[order], np.arange(0, len(viewpoints) + step, step))
         for number, start in enumerate(range(0, len(viewpoints), step)):
             rows = order[bounds[number] : bounds[number + 1]]
-            block = viewpoints[start : start + step]
             items = self._items(viewpoints[start : start + step])
             free[rows] = self._block(items, places[rows] - start, origins[rows], targets[rows])
         return free
@@ -83,7 +83,7 @@ class CubeMaps:
         free = np.ones(len(along), bool)
         for right in (0, 1):
             for up in (0, 1):
-                column, row = np.clip(corner + [right, up], 0, size - 1).T
+                column, row = np.clip(corner + np.array([right, up]), 0, size - 1).T
                 met = items[places, face, row, column]
                 tested = np.flatnonzero((met >= 0) & remaining & free)
                 first = self._first[met[tested]]

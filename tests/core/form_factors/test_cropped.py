@@ -42,7 +42,7 @@ def test_points_at_the_fine_level(name):
 def test_the_relative_error_does_not_depend_on_distance():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     for distance in (1e2, 1e4, 1e6):
-        far = square[::-1] + [0, 0, distance]
+        far = square[::-1] + np.array([0, 0, distance])
         found = core.form_factor(square, far, method="hemicube", accuracy=2e-3)
         # Six of the standard errors that the accuracy allows.
         assert found == pytest.approx(1 / (np.pi * distance**2), rel=6e-3)

@@ -78,7 +78,7 @@ def test_aliasing_falls_about_as_one_over_resolution():
 def test_directions_belong_to_their_pixels():
     cube = Hemicube.of(9)
     environment = core.Environment.from_polygons(polygons_of(CASES["enc-box-5-4-3"])[0])
-    point = environment.vertices.mean(axis=0) + [0.1, 0.2, -0.3]
+    point = environment.vertices.mean(axis=0) + np.array([0.1, 0.2, -0.3])
     items, _ = hemicube_at(environment, point, UP, cube, [1, 0, 0])
     directions = cube.directions()
     heights = np.einsum("nk,nk->n", environment.centroids - point, environment.normals)

@@ -11,8 +11,8 @@ from radiosity.core.visibility.segments import VISIBILITIES, make_visibility
 from tests.reference_cases import form_factor_cases, polygons_of
 
 SCENES = ("enc-cornell", "enc-L-room", "enc-facet-8", "enc-box345-1cube", "obs-shapiro", "obs-tri-tilted")
-#: Angle within which a polygon's edge, or a surface that a segment leaves or reaches, counts as grazed: embree rounds to
-#: float32 and starts 1e-5 off; the z-buffer has pixels of half a degree, seen from farther away by a corner's slant.
+#: Angle within which a polygon's edge, or a surface that a segment leaves or reaches, counts as grazed: embree rounds
+#: to float32 and starts 1e-5 off; the z-buffer has pixels of half a degree, seen from farther away by a corner's slant.
 GRAZING = {"embree": 1e-3, "zbuffer": 0.02}
 
 
@@ -68,7 +68,7 @@ def test_every_visibility_agrees_with_brute_force(visibility, name):
 def test_a_plate_blocks_what_passes_it_and_nothing_else(visibility):
     floor = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     plate = 0.5 * floor + [0.25, 0.25, 0.5]
-    environment = core.Environment.from_polygons([floor, floor[::-1] + [0, 0, 1], plate])
+    environment = core.Environment.from_polygons([floor, floor[::-1] + np.array([0, 0, 1]), plate])
     origins = np.array([[0.5, 0.5, 0], [0.1, 0.1, 0], [0.1, 0.1, 0], [0.5, 0.5, 0], [0.5, 0.5, 1], [0.3, 0.3, 0]])
     targets = np.array([[0.5, 0.5, 1], [0.1, 0.1, 1], [0.9, 0.9, 1], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [0.9, 0.3, 0]])
     seen = make_visibility(visibility, environment).visible(origins, targets)
@@ -89,7 +89,7 @@ def test_scale_and_place_do_not_matter(visibility, scale, shift):
 def test_brute_force_has_no_gap_between_triangles():
     # Segments through the diagonal and through the shared edges of a tiled plane.
     tile = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float) / 3
-    tiles = [tile + [i / 3, j / 3, 0] for i in range(3) for j in range(3)]
+    tiles = [tile + np.array([i / 3, j / 3, 0]) for i in range(3) for j in range(3)]
     environment = core.Environment.from_polygons(tiles)
     generator = np.random.default_rng(0)
     share = generator.random(3000)
@@ -105,7 +105,7 @@ def test_where_nothing_blocks_everything_is_visible():
     empty = core.Environment.from_polygons([np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)])
     above = np.array([[0.1, 0.1, 0.5], [0.1, 0.1, 0.5]])
     for name in VISIBILITIES:
-        assert make_visibility(name, empty).visible(above, above + [[0, 0, 1], [0, 0, 0]]).all()
+        assert make_visibility(name, empty).visible(above, above + np.array([[0, 0, 1], [0, 0, 0]])).all()
 
 
 def test_unknown_choices_are_refused_with_what_exists():

@@ -122,7 +122,7 @@ def _refine(environment, points, source, accuracy, seed):
 def _factors(environment, loops, points, frames, source, generator):
     """Factors (p,) from points with frames (p, 3, 3) to the visible part of a patch."""
     views = np.stack([frames, *[_side(frames, *side) for side in SIDES]], axis=1)
-    low, high = _windows(views, environment.polygons[source] - points[:, None])
+    low, high = _windows(views, environment.polygons[source] - points[:, None], environment.normals[source])
     facing = facing_sides(points, environment, np.array([source]))
     place, face = np.nonzero((low < high).all(axis=2) & facing)
     factors = np.zeros(len(points))
@@ -147,20 +147,45 @@ def _side(frames, axis, sign, along):
     return side
 
 
-def _windows(views: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _windows(views: np.ndarray, rays: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest image positions (p, 5, 2) of polygons (p, k, 3) on the faces, within their borders."""
     local = np.einsum("pfij,pkj->pfki", views, rays)
-    depth = local[..., 2:]
-    front = depth > 0
-    image = local[..., :2] / np.where(front, depth, 1)
-    low, high = np.where(front, image, np.inf).min(axis=2), np.where(front, image, -np.inf).max(axis=2)
-    # An edge that passes beside the viewpoint runs to infinity in the image, on the side where it passes.
     ahead = np.roll(local, -1, axis=2)
-    passing = front != np.roll(front, -1, axis=2)
-    drop = depth - ahead[..., 2:]
-    beside = local[..., :2] + np.where(passing, depth / np.where(drop == 0, 1, drop), 0) * (ahead - local)[..., :2]
-    low = np.where((passing & (beside < 0)).any(axis=2), -np.inf, low)
-    high = np.where((passing & (beside > 0)).any(axis=2), np.inf, high)
+    low, high = np.full((*local.shape[:2], 2), np.inf), np.full((*local.shape[:2], 2), -np.inf)
+    # Across the face, an edge that passes beside the viewpoint runs to infinity. Up the face that would be too loose:
+    # a sheet just above the horizon runs there, too, yet never rises.
+    depth, following = local[..., 2], ahead[..., 2]
+    front, passing = depth > 0, (depth > 0) != (following > 0)
+    image = local[..., 0] / np.where(front, depth, 1)
+    beside = local[..., 0] + depth / np.where(passing, depth - following, 1) * (ahead - local)[..., 0]
+    low[..., 0] = np.where(front, image, np.inf).min(axis=2)
+    high[..., 0] = np.where(front, image, -np.inf).max(axis=2)
+    low[..., 0][(passing & (beside <= 0)).any(axis=2)] = -np.inf
+    high[..., 0][(passing & (beside >= 0)).any(axis=2)] = np.inf
+    axis, across, floor = 1, 0, FLOOR[:, 0, None]
+    # What lies between the face's two borders across this axis is bounded by corners between them and by the
+    # points where edges cross them, unless the polygon meets the line in which these borders' planes meet.
+    inside = (local[..., across] >= floor * local[..., 2]) & (local[..., across] <= local[..., 2])
+    ends = [(local, inside)]
+    for border in (floor, 1.0):
+        here, there = (side[..., across] - border * side[..., 2] for side in (local, ahead))
+        crossing = (here < 0) != (there < 0)
+        share = here / np.where(crossing, here - there, 1)
+        ends.append((local + share[..., None] * (ahead - local), crossing))
+    for place, valid in ends:
+        valid = valid & (place[..., 2] > 0)
+        position = place[..., axis] / np.where(valid, place[..., 2], 1)
+        low[..., axis] = np.minimum(low[..., axis], np.where(valid, position, np.inf).min(axis=2))
+        high[..., axis] = np.maximum(high[..., axis], np.where(valid, position, -np.inf).max(axis=2))
+    # There it runs to infinity in the image, on the side where it meets the line.
+    here, there = local[..., across], ahead[..., across]
+    crossing = (here < 0) != (there < 0)
+    share = here / np.where(crossing, here - there, 1)
+    beyond = local[..., 2] + share * (ahead - local)[..., 2] > 0
+    met = (crossing & beyond).sum(axis=2) % 2 == 1
+    side = (views[:, :, axis] @ normal) * (rays[:, 0] @ normal)[:, None]
+    low[..., axis] = np.where(met & (side < 0), -np.inf, low[..., axis])
+    high[..., axis] = np.where(met & (side > 0), np.inf, high[..., axis])
     return np.maximum(low, FLOOR), np.minimum(high, 1)
 
 

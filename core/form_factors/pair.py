@@ -8,16 +8,18 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from .cropped import cropped_pair, cropped_point
 from .hemisphere import hemisphere_rows
 from .identities import repair
 from .matrix import check_accuracy
 from .point_to_polygon import point_to_polygon
 from .quadrature import integrate_pair, sampled_pair, sampled_point
+from .single_plane import single_plane_rows
 
 #: Methods for single pairs, by name. The hemisphere needs an environment to cast its rays into; for a pair it is the
 #: matrix of those few polygons.
-PAIR_METHODS = ("point_to_polygon", "hemisphere")
-POINT_METHODS = ("point_to_polygon",)
+PAIR_METHODS = ("point_to_polygon", "hemisphere", "hemicube", "single_plane")
+POINT_METHODS = ("point_to_polygon", "hemicube")
 
 
 def form_factor(
@@ -37,9 +39,10 @@ def form_factor(
     blockers : sequence of (k, 3) float
         Polygons that block from both sides.
     method : str
-        ``auto``, ``point_to_polygon`` or ``hemisphere``.
+        ``auto`` or one of `PAIR_METHODS`.
     accuracy : float
-        Error wanted, as an absolute number; a standard error where rays are cast.
+        Error wanted, as an absolute number; a standard error where rays are cast. ``hemicube`` keeps it as a part of
+        the factor.
     seed : int
 
     Returns
@@ -62,10 +65,15 @@ def form_factor(
     if chosen == "hemisphere":
         rows = hemisphere_rows(environment, accuracy, seed)
         return float(repair(rows.matrix, areas, False, rows.samples)[0, 1])
+    if chosen == "single_plane":
+        rows = single_plane_rows(environment, "zbuffer", accuracy, seed)
+        return float(repair(rows.matrix, areas, False, rows.samples)[0, 1])
     # Sampling the smaller polygon needs fewer points, and reciprocity carries the result over.
     receiver, source = (0, 1) if areas[0] <= areas[1] else (1, 0)
     scale = areas[receiver] / areas[0]
-    if len(environment) > 2:
+    if chosen == "hemicube":
+        factor, _ = cropped_pair(environment, receiver, source, accuracy, seed)
+    elif len(environment) > 2:
         factor, _, _ = sampled_pair(environment, receiver, source, accuracy / scale, seed)
     else:
         factor, _ = integrate_pair(environment, receiver, source, accuracy / scale)
@@ -92,9 +100,10 @@ def configuration_factor(
     blockers : sequence of (k, 3) float
         Polygons that block from both sides.
     method : str
-        ``auto`` or ``point_to_polygon``.
+        ``auto`` or one of `POINT_METHODS`.
     accuracy : float
-        Standard error wanted, as an absolute number, where there are blockers; exact without.
+        Standard error wanted, as an absolute number, where there are blockers; exact without. ``hemicube`` keeps it as
+        a part of the factor, with blockers or without.
     seed : int
 
     Returns
@@ -109,13 +118,15 @@ def configuration_factor(
         If a polygon is malformed; the polygon counts as 0, blockers from 1.
     """
     check_accuracy(accuracy)
-    _choose(method, POINT_METHODS)
+    chosen = _choose(method, POINT_METHODS)
     point, normal = (np.asarray(v, dtype=np.float64) for v in (point, normal))
     if point.shape != (3,) or normal.shape != (3,) or not np.isfinite([*point, *normal]).all() or not normal.any():
         raise SettingsError("Point and normal must be three finite numbers each, and the normal not zero")
     normal = normal / np.abs(normal).max()
     normal = normal / np.linalg.norm(normal)
     environment = Environment.from_polygons([polygon, *blockers])
+    if chosen == "hemicube":
+        return cropped_point(environment, point, normal, 0, accuracy, seed)[0]
     if len(environment) > 1:
         return sampled_point(environment, point, normal, 0, accuracy, seed)[0]
     return float(point_to_polygon(point[None], normal[None], environment.polygons[0])[0])

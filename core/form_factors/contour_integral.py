@@ -20,6 +20,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from .edge_integrals import EXACT as EDGE_EXACT
 from .edge_integrals import PERPENDICULAR, edge_integrals
 from .faces import Faces
 from .hemisphere import SampledRows
@@ -42,11 +43,11 @@ BLOCK_EDGES = 2**17
 #: Relative error that an exact factor is allowed where a choice of formula decides it.
 EXACT = 1e-10
 
-#: Ratio of both radii to distance below which the four-point rule is exact: its error is the cube.
-FAR = 1e-3
-
 #: Radius over distance from the other's outline up to which the mean rule costs less than the contour.
 NEAR = 0.3
+
+#: Share of the accuracy asked for that the error of near pairs may take.
+SHARE = 0.1
 
 #: Rounding of the contour sum, as a share of both perimeters multiplied: measured on random pairs, a few eps.
 ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -177,14 +178,17 @@ def _class_exchanges(faces, first, second, accuracy):
     whole = (heights >= 0).all(axis=1) & (other_heights >= 0).all(axis=1)
     values, errors = np.zeros(len(first)), np.zeros(len(first))
     rows = np.flatnonzero(seen & whole)
-    if len(rows):
-        values[rows], errors[rows] = _whole_exchanges(
-            faces, first[rows], second[rows], loops[rows], others[rows], accuracy
-        )
+    bounds, relative = four_point_errors(faces, first[rows], second[rows])
+    sampled = (bounds <= accuracy) | (relative <= EXACT)
+    far = rows[sampled]
+    values[far], errors[far] = four_point(faces, first[far], second[far]), bounds[sampled]
+    rows = rows[~sampled]
+    values[rows], errors[rows] = _outline_exchanges(
+        faces, first[rows], second[rows], loops[rows], others[rows], accuracy
+    )
     rows = np.flatnonzero(seen & ~whole)
-    if len(rows):
-        parts = clip_loops(loops[rows], other_heights[rows])
-        values[rows] = contour_sums(parts, clip_loops(others[rows], heights[rows]))[0]
+    parts, other_parts = clip_loops(loops[rows], other_heights[rows]), clip_loops(others[rows], heights[rows])
+    values[rows], errors[rows] = _outline_exchanges(faces, first[rows], second[rows], parts, other_parts, accuracy)
     return np.maximum(values, 0), errors
 
 
@@ -194,52 +198,63 @@ def _heights(loops, normals, tolerance):
     return np.where(np.abs(heights) > tolerance, heights, 0)
 
 
-def _whole_exchanges(faces, first, second, loops, others, accuracy):
-    """`exchanges` of pairs that see all of each other, by the rule that fits their distance."""
-    values = np.zeros(len(first))
-    bounds = four_point_errors(faces, first, second)
+def _outline_exchanges(faces, first, second, loops, others, accuracy):
+    """`exchanges` of loops in front of each other, both relative to the centers of `first`.
+
+    The loops may be parts of the faces.
+    """
+    smaller = np.minimum(faces.areas[first], faces.areas[second])
     shifts = faces.centers[second] - faces.centers[first]
-    far = faces.radii[first] + faces.radii[second] < FAR * np.linalg.norm(shifts, axis=1)
-    sampled = far | (bounds <= accuracy)
-    errors = np.where(sampled, np.where(far, 0, bounds), 0)
-    values[sampled] = four_point(faces, first[sampled], second[sampled])
     here = outline_ratios(others, np.zeros_like(shifts), faces.radii[first])
     there = outline_ratios(loops, shifts, faces.radii[second])
     ratios = np.minimum(here, there)
-    near = ~sampled & (ratios > NEAR)
+    values, errors = np.zeros(len(first)), np.full(len(first), SHARE * accuracy)
+    near = ratios > NEAR
     rows = np.flatnonzero(near)
-    if len(rows):
-        values[rows], rounding = contour_sums(loops[rows], others[rows])
-        # Slivers, whose outlines are long for what they bound: the mean rule, where it converges.
-        near[rows[(rounding > EXACT * values[rows]) & (ratios[rows] <= GREATEST_RATIO)]] = False
-    rows = np.flatnonzero(~sampled & ~near)
-    orders = orders_for(ratios[rows], max(EXACT, accuracy / 10))
-    for chosen, reverse in ((here[rows] <= there[rows], False), (here[rows] > there[rows], True)):
-        part = rows[chosen]
-        if not len(part):
-            continue
-        if reverse:
-            values[part] = mean_rule(others[part], faces.normals[second[part]], loops[part], orders[chosen])
-        else:
-            values[part] = mean_rule(loops[part], faces.normals[first[part]], others[part], orders[chosen])
+    values[rows], rounding = contour_sums(loops[rows], others[rows], SHARE * accuracy * smaller[rows])
+    errors[rows] += rounding / smaller[rows]
+    # Slivers, whose outlines are long for what they bound: the mean rule, where it converges.
+    near[rows[(rounding > EXACT * values[rows]) & (ratios[rows] <= GREATEST_RATIO)]] = False
+    tolerance = max(EXACT, SHARE * accuracy)
+    rows = np.flatnonzero(~near & (here <= there))
+    orders = orders_for(ratios[rows], tolerance)
+    values[rows] = mean_rule(loops[rows], faces.normals[first[rows]], others[rows], orders)
+    rows = np.flatnonzero(~near & (here > there))
+    orders = orders_for(ratios[rows], tolerance)
+    values[rows] = mean_rule(others[rows], faces.normals[second[rows]], loops[rows], orders)
+    rows = np.flatnonzero(~near)
+    errors[rows] = tolerance * values[rows] / smaller[rows]
     return values, errors
 
 
-def contour_sums(loops: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Exchange areas (m,) of closed loops (m, k, 3) and (m, l, 3) in front of each other, and their rounding."""
+def contour_sums(loops, others, tolerance=0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Contour integrals of pairs of loops in front of each other.
+
+    Parameters
+    ----------
+    loops, others : (m, k, 3), (m, l, 3) float
+        Closed loops, relative to a point near them.
+    tolerance : (m,) float
+        Error allowed to the result; 0 asks for all digits.
+
+    Returns
+    -------
+    exchanges, rounding : (m,) float64
+        Exchange areas, and about how far rounding may put them off.
+    """
     size = np.sqrt(np.maximum((loops**2).sum(axis=2).max(axis=1), (others**2).sum(axis=2).max(axis=1)))
     loops, others = loops / size[:, None, None], others / size[:, None, None]
     edges, other_edges = np.roll(loops, -1, axis=1) - loops, np.roll(others, -1, axis=1) - others
-    shape = (len(loops), loops.shape[1], others.shape[1])
+    lengths, other_lengths = (np.sqrt(np.einsum("mki,mki->mk", a, a)) for a in (edges, other_edges))
+    scale = size**2 / (2 * np.pi)
+    perimeters = lengths.sum(axis=1) * other_lengths.sum(axis=1)
+    allowed = np.maximum(tolerance / (perimeters * scale), EDGE_EXACT)
     # Perpendicular edges and those that only fill up a loop are the most: they are left out before anything is copied.
-    weights = np.einsum("mki,mli->mkl", edges, other_edges)
-    squares = np.einsum("mki,mki->mk", edges, edges)[:, :, None] * np.einsum("mli,mli->ml", other_edges, other_edges)[:, None]
-    pairs, here, there = np.nonzero(weights * weights > PERPENDICULAR**2 * squares)
-    totals = np.zeros(shape[0])
+    weights = np.abs(np.einsum("mki,mli->mkl", edges, other_edges))
+    pairs, here, there = np.nonzero(weights > PERPENDICULAR * lengths[:, :, None] * other_lengths[:, None])
+    totals = np.zeros(len(loops))
     for begin in range(0, len(pairs), BLOCK_EDGES):
-        m, k, l = (index[begin : begin + BLOCK_EDGES] for index in (pairs, here, there))
-        terms = edge_integrals(loops[m, k], edges[m, k], others[m, l], other_edges[m, l])
-        totals += np.bincount(m, terms, shape[0])
-    perimeters = np.sqrt(np.einsum("mki,mki->mk", edges, edges)).sum(axis=1)
-    perimeters = perimeters * np.sqrt(np.einsum("mki,mki->mk", other_edges, other_edges)).sum(axis=1)
-    return totals * size**2 / (2 * np.pi), ROUNDING * perimeters * size**2 / (2 * np.pi)
+        m, k, n = (index[begin : begin + BLOCK_EDGES] for index in (pairs, here, there))
+        terms = edge_integrals(loops[m, k], edges[m, k], others[m, n], other_edges[m, n], allowed[m])
+        totals += np.bincount(m, terms, len(totals))
+    return totals * scale, ROUNDING * perimeters * scale

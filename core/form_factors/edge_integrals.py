@@ -13,6 +13,8 @@ Results are good to some roundings of the edges' lengths multiplied, whatever an
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 #: Sine of the angle between edges that count as parallel. Turning one of them by this moves its ends by less than the
@@ -22,19 +24,25 @@ PARALLEL = 1e-14
 #: Cosine below which a pair is perpendicular: what is left out is below the rounding of the other terms.
 PERPENDICULAR = 1e-16
 
-#: Gauss orders and, for each, the smallest Bernstein parameter (sum of the half-axes of the largest ellipse about the
-#: piece, in half lengths, in which the integrand is analytic) at which its error, parameter^(-2 order), is below 1e-13.
-ORDERS = ((6, 12.0), (10, 4.5), (16, 2.55))
+#: Gauss orders that pieces are integrated with.
+ORDERS = (4, 6, 10, 16)
 
-#: Halvings after which a piece is integrated as it is. What remains of a kink or a logarithm weighs the square of the
-#: piece's length, 2^-44, times the Gauss rule's own reduction.
-DEEPEST = 22
+#: Error allowed to the mean of ``ln r`` over a piece, where all digits are wanted. Gauss's rule of order n errs by the
+#: Bernstein parameter (sum of the half-axes of the largest ellipse about the piece, in half lengths, in which the
+#: integrand is analytic) to the power -2 n; the constant before it is small for logarithms.
+EXACT = 1e-13
 
 #: Pieces handled at once: 16 points each, about 20 temporaries of 8 bytes, stay below 64 MB.
 BLOCK_PIECES = 2**14
 
 
-def edge_integrals(starts, edges, other_starts, other_edges) -> np.ndarray:
+@cache
+def gauss_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes between -1 and 1 and weights of Gauss's rule."""
+    return np.polynomial.legendre.leggauss(order)
+
+
+def edge_integrals(starts, edges, other_starts, other_edges, tolerance=EXACT) -> np.ndarray:
     """``a . b`` times the mean of ``ln r`` over n pairs of edges.
 
     Parameters
@@ -44,6 +52,8 @@ def edge_integrals(starts, edges, other_starts, other_edges) -> np.ndarray:
         rounding is that of ``|a| |b| max(1, |ln r|)``.
     other_starts, other_edges : (n, 3) float
         Those of the other.
+    tolerance : float or (n,) float
+        Error allowed to the mean of ``ln r``; parallel pairs are exact at any.
 
     Returns
     -------
@@ -62,9 +72,11 @@ def edge_integrals(starts, edges, other_starts, other_edges) -> np.ndarray:
     slanted = ~parallel & (weights * weights > PERPENDICULAR**2 * squares)
     parallel &= squares > 0
     result = np.zeros(len(weights))
-    for chosen, integrate in ((np.flatnonzero(parallel), _parallel), (np.flatnonzero(slanted), _slanted)):
-        if len(chosen):
-            result[chosen] = integrate(starts[chosen], edges[chosen], other_starts[chosen], other_edges[chosen])
+    rows = np.flatnonzero(parallel)
+    result[rows] = _parallel(starts[rows], edges[rows], other_starts[rows], other_edges[rows])
+    rows = np.flatnonzero(slanted)
+    tolerance = np.broadcast_to(tolerance, weights.shape)[rows]
+    result[rows] = _slanted(starts[rows], edges[rows], other_starts[rows], other_edges[rows], tolerance)
     return result
 
 
@@ -96,7 +108,7 @@ def _second_antiderivative(x, height):
     return (x * x - height * height) * logarithm / 4 + height * x * np.arctan2(x, height) - 0.75 * x * x
 
 
-def _slanted(starts, edges, other_starts, other_edges):
+def _slanted(starts, edges, other_starts, other_edges, tolerance):
     """Pairs at an angle: pieces of the first edge, halved until Gauss's rule is known to be exact on them."""
     weights = _dot(edges, other_edges)
     # The shorter edge is the one that is cut: it has fewer pieces, and the closed form serves the longer one.
@@ -108,19 +120,19 @@ def _slanted(starts, edges, other_starts, other_edges):
     lines = _Lines(starts, edges, other_starts, other_edges)
     totals = np.zeros(len(starts))
     rows, centers, halves = np.arange(len(starts)), np.full(len(starts), 0.5), np.full(len(starts), 0.5)
-    for depth in range(DEEPEST + 1):
-        order = np.full(len(rows), ORDERS[-1][0] if depth == DEEPEST else 0)
+    while len(rows):
         parameter = lines.smoothness(rows, centers, halves)
-        for points, least in reversed(ORDERS):
-            order[parameter >= least] = points
-        for points, _ in ORDERS:
+        # What remains of a kink or a logarithm in a piece weighs the square of its length.
+        order = np.where(halves * halves < tolerance[rows] / 4, ORDERS[-1], 0)
+        for points in reversed(ORDERS):
+            order[parameter ** (-2.0 * points) <= tolerance[rows]] = points
+        for points in ORDERS:
             chosen = np.flatnonzero(order == points)
-            for block in np.split(chosen, range(BLOCK_PIECES, len(chosen), BLOCK_PIECES)):
+            for begin in range(0, len(chosen), BLOCK_PIECES):
+                block = chosen[begin : begin + BLOCK_PIECES]
                 values = lines.integrate(rows[block], centers[block], halves[block], points)
                 totals += np.bincount(rows[block], values, len(totals))
         open_ = order == 0
-        if not open_.any():
-            break
         rows, halves = np.repeat(rows[open_], 2), np.repeat(halves[open_] / 2, 2)
         centers = np.repeat(centers[open_], 2) + halves * np.tile([-1.0, 1.0], len(halves) // 2)
     return weights * totals
@@ -174,7 +186,7 @@ class _Lines:
 
     def integrate(self, rows, centers, halves, order):
         """Integral (r,) over pieces of the mean of ``ln r`` over the second edge."""
-        nodes, weights = np.polynomial.legendre.leggauss(order)
+        nodes, weights = gauss_rule(order)
         places = centers[:, None] + halves[:, None] * nodes
         low = -(self.first[rows][:, None] + places * self.slope[rows][:, None])
         high = low + self.length[rows][:, None]

@@ -13,14 +13,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from .edge_integrals import gauss_rule
 from .faces import Faces
 from .point_to_polygon import lambert_sum
 
 #: Bound of the center rule's relative error, in squares of ratio, and of the four-point rule's, in cubes: ratio is the
 #: sum of both radii over the distance of the centers. Twice the largest that 4e5 random pairs of triangles,
 #: quadrilaterals and hexagons showed against exact values.
-CENTER_BOUND = 3.0
-FOUR_POINT_BOUND = 3.0
+CENTER_BOUND = 1.0
+FOUR_POINT_BOUND = 0.25
 
 #: Radius over distance to the other's outline up to which the mean rule is used.
 GREATEST_RATIO = 0.75
@@ -52,14 +53,18 @@ def center_rule(faces: Faces, rows: np.ndarray, columns: np.ndarray) -> tuple[np
     return products * here * there / (np.pi * squares * squares), bounds
 
 
-def four_point_errors(faces: Faces, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Bounds (m,) of the error of `four_point`, as a factor of the smaller face."""
+def four_point_errors(faces: Faces, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (m,) of the error of `four_point`: as a factor of the smaller face, and as a share of the far field.
+
+    The far field is the factor that the faces would have if they looked straight at each other.
+    """
     apart = faces.centers[second] - faces.centers[first]
     square = np.einsum("mi,mi->m", apart, apart)
-    ratios = (faces.radii[first] + faces.radii[second]) / np.sqrt(np.where(square > 0, square, 1e-300))
     larger = np.maximum(faces.areas[first], faces.areas[second])
-    bounds = FOUR_POINT_BOUND * ratios**3 * larger / (np.pi * np.where(square > 0, square, 1))
-    return np.where(ratios < 0.5, bounds, np.inf)
+    with np.errstate(divide='ignore', over='ignore'):
+        ratios = (faces.radii[first] + faces.radii[second]) / np.sqrt(square)
+        relative = np.where(ratios < 0.5, FOUR_POINT_BOUND * ratios**3, np.inf)
+        return relative * larger / (np.pi * square), relative
 
 
 def four_point(faces: Faces, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -87,7 +92,8 @@ def outline_ratios(loops: np.ndarray, centers: np.ndarray, radii: np.ndarray) ->
     places = -np.einsum("mki,mki->mk", starts, edges) / np.where(squares > 0, squares, 1)
     nearest = starts + places.clip(0, 1)[..., None] * edges
     distances = np.sqrt(np.einsum("mki,mki->mk", nearest, nearest).min(axis=1))
-    return radii / np.where(distances > 0, distances, 1e-300)
+    with np.errstate(divide='ignore'):
+        return radii / distances
 
 
 def orders_for(ratios: np.ndarray, tolerance: np.ndarray | float) -> np.ndarray:
@@ -134,7 +140,7 @@ def _gauss_points(loops, normals, order):
     Each is the image of a square; a triangle is one with two corners in one place. Where a concave loop makes the map
     fold over, weights turn negative, and the sum stays right.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(order)
+    nodes, weights = gauss_rule(order)
     nodes, weights = (nodes + 1) / 2, weights / 2
     u, v = (a.ravel() for a in np.meshgrid(nodes, nodes, indexing="ij"))
     weight = np.outer(weights, weights).ravel()

@@ -3,13 +3,15 @@
 The double area integral becomes one over the two outlines, ``A_1 F_12 = sum of edge pairs of (mean ln r) a . b / 2 pi``
 (`edge_integrals`), for convex and concave polygons alike, whether they share edges or corners, nearly touch, or cross
 each other's plane: of each polygon the part behind the other's plane is cut off exactly. This is the method for pairs
-that are near or touch, and where all digits count. It knows no occlusion.
+that are near or touch, and where all digits count.
 
 Two of its limits are met by other exact forms. The sum over edges loses digits as the square of distance over size, so
 pairs that are small for their distance, or slivers, integrate the closed form of a point and a polygon over one of
 them by Gauss's rule, of an order that follows from the distance (`separated_pairs`). And for an environment of n
 patches, `fast` lets pairs far apart take one or four samples instead, with an error that is bounded in advance by what
 accuracy was asked for; then most pairs cost some ten nanoseconds, and only neighbors the full formula.
+
+It knows no occlusion itself: any visibility by segments may be joined to it (`visible_share`).
 
 Cost: some microseconds for each pair of patches that see each other's fronts.
 """
@@ -19,7 +21,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..environment import Environment
-from ..errors import SettingsError
+from ..visibility.blockable import blockable
+from ..visibility.segments import make_visibility
 from .edge_integrals import EXACT as EDGE_EXACT
 from .edge_integrals import PERPENDICULAR, edge_integrals
 from .faces import Faces
@@ -34,6 +37,7 @@ from .separated_pairs import (
     orders_for,
     outline_ratios,
 )
+from .visible_share import visible_shares
 
 #: Entries of the matrix culled at once, and pairs worked on at once: temporaries stay below 100 MB.
 BLOCK_ENTRIES = 2**18
@@ -84,55 +88,77 @@ def contour_integral(polygon_a: np.ndarray, polygon_b: np.ndarray) -> float:
 
 
 def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=0, fast=False) -> SampledRows:
-    """Form factors of all patches, nothing in between.
+    """Form factors of all patches.
 
     Parameters
     ----------
     environment : Environment
     visibility : str
-        ``none``.
+        ``none``, or the name of one that tests segments: then factors of pairs that something may block are multiplied
+        by their sampled visible share. Where no plane parts two patches, nothing is sampled.
     accuracy : float
-        Error allowed to a factor, with `fast`; else all are exact.
-    seed, threads : int
-        Without effect: nothing is random here.
+        Error allowed to a factor by visibility, and by `fast`; else all are exact.
+    seed : int
+        Places of the samples.
+    threads : int
+        Threads of the ray engine, where it is used.
     fast : bool
-        Whether pairs far apart may be sampled.
+        Whether pairs far apart may be computed from one or four points.
 
     Returns
     -------
     SampledRows
-        `errors` are bounds; what escapes is the rest of each row.
+        `errors` are bounds, and standard errors where visibility was sampled; what escapes is the rest of each row.
 
     Raises
     ------
     SettingsError
-        If another visibility is named.
+        If the visibility is unknown.
     """
-    if visibility != "none":
-        raise SettingsError(f"Contour integrals know no occlusion, so not visibility {visibility!r}: choose none")
     faces = Faces(environment)
-    count = len(environment)
+    count, areas = len(environment), environment.areas
     exchange, errors = np.zeros((count, count)), np.zeros(count)
+    sight = None if visibility == "none" else make_visibility(visibility, environment, threads)
     columns = np.arange(len(faces))
     step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
+    blocked = _blockable(faces, step) if sight is not None else None
     for begin in range(0, len(faces), step):
-        rows = columns[begin : begin + step]
-        values, worst = _block(faces, rows, columns[begin:], accuracy if fast else 0.0)
+        rows, rest = columns[begin : begin + step], columns[begin:]
+        values, worst = _block(faces, rows, rest, accuracy if fast else 0.0)
+        if sight is not None:
+            here, there = np.nonzero((values > 0) & blocked[rows[0] : rows[-1] + 1, begin:])
+            smaller = np.minimum(faces.areas[rows[here]], faces.areas[rest[there]])
+            factors = values[here, there] / smaller
+            shares, scatter = visible_shares(
+                environment, faces, rows[here], rest[there], factors, sight, accuracy, (seed, begin)
+            )
+            values[here, there] *= shares
+            worst[here, there] += scatter
         # Each pair was computed once; it counts for both.
-        np.add.at(exchange, (faces.owners[rows][:, None], faces.owners[columns[begin:]]), values)
+        np.add.at(exchange, (faces.owners[rows][:, None], faces.owners[rest]), values)
         np.maximum.at(errors, faces.owners[rows], worst.max(axis=1))
-        np.maximum.at(errors, faces.owners[columns[begin:]], worst.max(axis=0))
+        np.maximum.at(errors, faces.owners[rest], worst.max(axis=0))
     exchange += exchange.T
-    areas = environment.areas
     matrix = np.minimum(exchange / np.where(areas > 0, areas, 1)[:, None], 1)
     return SampledRows(
         matrix=matrix,
         escaped=np.maximum(1 - matrix.sum(axis=1), 0),
         errors=errors,
         samples=np.ones(count, dtype=np.int64),
-        rays=0,
+        rays=0 if sight is None else sight.rays,
         leaks=np.zeros(count),
     )
+
+
+def _blockable(faces, step):
+    """(f, f) bool: pairs of faces that something may stand between."""
+    everything = np.arange(len(faces))
+    low, high, tolerance = (np.empty((len(faces), len(faces))) for _ in range(3))
+    for begin in range(0, len(faces), step):
+        rows = everything[begin : begin + step]
+        low[rows], high[rows] = faces.height_ranges(rows, everything)
+        tolerance[rows] = faces.tolerance(rows[:, None], everything)
+    return blockable(low, high, tolerance)
 
 
 def _block(faces, rows, columns, accuracy):
@@ -216,14 +242,18 @@ def _outline_exchanges(faces, first, second, loops, others, accuracy):
     # Slivers, whose outlines are long for what they bound: the mean rule, where it converges.
     near[rows[(rounding > EXACT * values[rows]) & (ratios[rows] <= GREATEST_RATIO)]] = False
     tolerance = max(EXACT, SHARE * accuracy)
-    rows = np.flatnonzero(~near & (here <= there))
-    orders = orders_for(ratios[rows], tolerance)
-    values[rows] = mean_rule(loops[rows], faces.normals[first[rows]], others[rows], orders)
-    rows = np.flatnonzero(~near & (here > there))
-    orders = orders_for(ratios[rows], tolerance)
-    values[rows] = mean_rule(others[rows], faces.normals[second[rows]], loops[rows], orders)
-    rows = np.flatnonzero(~near)
-    errors[rows] = tolerance * values[rows] / smaller[rows]
+    for chosen, outer, inner, outlines, targets, ratio in (
+        (here <= there, first, second, loops, others, here),
+        (here > there, second, first, others, loops, there),
+    ):
+        rows = np.flatnonzero(~near & chosen)
+        values[rows] = mean_rule(
+            outlines[rows], faces.normals[outer[rows]], targets[rows], orders_for(ratio[rows], tolerance)
+        )
+        # Relative to the factor of a face that looks straight at the other: slanted ones may vary more than they are.
+        distances = faces.radii[outer[rows]] / ratio[rows]
+        greatest = np.minimum(faces.areas[inner[rows]] / (np.pi * distances**2), 1)
+        errors[rows] = tolerance * greatest * faces.areas[outer[rows]] / smaller[rows]
     return values, errors
 
 

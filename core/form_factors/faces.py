@@ -103,9 +103,7 @@ class Faces:
 
 def _length_classes(lengths):
     beyond = -(-lengths // CLASSES[-1]) * CLASSES[-1]
-    return np.where(
-        lengths > CLASSES[-1], beyond, CLASSES[np.searchsorted(CLASSES, np.minimum(lengths, CLASSES[-1]))]
-    )
+    return np.where(lengths > CLASSES[-1], beyond, CLASSES[np.searchsorted(CLASSES, np.minimum(lengths, CLASSES[-1]))])
 
 
 def _principal_axes(loops, normals, areas):

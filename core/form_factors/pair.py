@@ -8,6 +8,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from .contour_integral import contour_rows
 from .hemisphere import hemisphere_rows
 from .identities import repair
 from .matrix import check_accuracy
@@ -16,7 +17,7 @@ from .quadrature import integrate_pair, sampled_pair, sampled_point
 
 #: Methods for single pairs, by name. The hemisphere needs an environment to cast its rays into; for a pair it is the
 #: matrix of those few polygons.
-PAIR_METHODS = ("point_to_polygon", "hemisphere")
+PAIR_METHODS = ("point_to_polygon", "hemisphere", "contour_integral")
 POINT_METHODS = ("point_to_polygon",)
 
 
@@ -37,7 +38,7 @@ def form_factor(
     blockers : sequence of (k, 3) float
         Polygons that block from both sides.
     method : str
-        ``auto``, ``point_to_polygon`` or ``hemisphere``.
+        ``auto``, ``point_to_polygon``, ``hemisphere`` or ``contour_integral``.
     accuracy : float
         Error wanted, as an absolute number; a standard error where rays are cast.
     seed : int
@@ -59,6 +60,9 @@ def form_factor(
     areas = environment.areas
     if areas[0] <= 0 or areas[1] <= 0:
         return 0.0
+    if chosen == "contour_integral":
+        visibility = "embree" if len(environment) > 2 else "none"
+        return float(contour_rows(environment, visibility, accuracy, seed).matrix[0, 1])
     if chosen == "hemisphere":
         rows = hemisphere_rows(environment, accuracy, seed)
         return float(repair(rows.matrix, areas, False, rows.samples)[0, 1])

@@ -1,4 +1,4 @@
-"""Pairs of faces that lie apart, wholly in front of each other: rules whose error falls with distance, known in advance.
+"""Pairs of faces that lie apart, wholly in front of each other: rules whose error falls with distance, as foreseen.
 
 Three rules, by what they cost. The center rule is the point-to-point formula between centers of area; the four-point
 rule puts four equal weights on each face, at one standard deviation along its principal axes (Gauss's 2 x 2 rule, where

@@ -121,7 +121,7 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
     sight = None if visibility == "none" else make_visibility(visibility, environment, threads)
     columns = np.arange(len(faces))
     step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
-    blocked = _blockable(faces, step) if sight is not None else None
+    blocked = blockable_faces(faces) if sight is not None else None
     for begin in range(0, len(faces), step):
         rows, rest = columns[begin : begin + step], columns[begin:]
         values, worst = _block(faces, rows, rest, accuracy if fast else 0.0)
@@ -150,8 +150,9 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
     )
 
 
-def _blockable(faces, step):
+def blockable_faces(faces: Faces) -> np.ndarray:
     """(f, f) bool: pairs of faces that something may stand between."""
+    step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
     everything = np.arange(len(faces))
     low, high, tolerance = (np.empty((len(faces), len(faces))) for _ in range(3))
     for begin in range(0, len(faces), step):

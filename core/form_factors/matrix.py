@@ -11,6 +11,7 @@ import numpy as np
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
 from .contour_integral import contour_rows
+from .disk import disk_rows
 from .hemisphere import SampledRows, hemisphere_rows
 from .identities import closure_error, reciprocity_error, repair
 from .quadrature import quadrature_rows
@@ -44,6 +45,7 @@ def _hemisphere(environment, visibility, accuracy, seed, threads):
 METHODS: dict[str, Method] = {
     "hemisphere": Method(_hemisphere, ("embree",)),
     "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
+    "disk": Method(disk_rows, ("embree", "brute_force", "none"), ("sampling", "samples")),
     "contour_integral": Method(contour_rows, ("embree", "brute_force", "none"), ("fast",)),
 }
 

@@ -72,7 +72,7 @@ class Loops:
     def select(self, rows: np.ndarray) -> Loops:
         """The polygons of these rows, in their order."""
         counts = np.diff(self.offsets)[rows]
-        corners = self.corners[_ranges(self.offsets[rows], counts)[1]]
+        corners = self.corners[ranges(self.offsets[rows], counts)[1]]
         return self._joined(corners, counts, self.normals[rows], self.anchors[rows], self.edge_on)
 
     @classmethod
@@ -150,8 +150,8 @@ class _Grid:
         return np.searchsorted(self._search, inside + rows * self._stride) - rows * self.width
 
 
-def _ranges(starts: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which range (k,) and which number (k,) for all the numbers of some ranges, one range after the other."""
+def ranges(starts: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All numbers of some ranges, one range after the other: which range (k,) and which number (k,)."""
     ends = np.cumsum(lengths)
     which = np.repeat(np.arange(len(lengths)), lengths)
     return which, np.arange(len(which)) + (starts - (ends - lengths))[which]
@@ -181,7 +181,7 @@ def _draw(viewpoints, projections, loops, grid, nearness, items):
     # The plane n . p = h becomes N . (x, y, z) = h, so 1 / z is N . (X, Y, 1) / h at the image point (X, Y).
     planes = np.einsum("kij,kj->ki", _cofactors(projections)[views], loops.normals[polygons]) / heights[:, None]
     planes[heights > 0] *= 1 - BACK_FACE
-    pairs, corners = _ranges(loops.offsets[polygons], np.diff(loops.offsets)[polygons])
+    pairs, corners = ranges(loops.offsets[polygons], np.diff(loops.offsets)[polygons])
     ends = local[views[pairs], :, corners].T
     # The loops of all pairs lie end to end, too, so an edge's second end is the entry of the next corner.
     ahead = np.arange(len(corners)) + loops.following[corners] - corners
@@ -242,7 +242,7 @@ def _edge_rows(ends, ahead, pairs, grid):
 def _spans(ends, ahead, edges, planes, grid):
     """Spans of samples: pair, row, first column, column after the last, each (s,)."""
     edge, pair, first, last = edges
-    which, row = _ranges(first, last - first)
+    which, row = ranges(first, last - first)
     swapped = edge < 0
     one = np.where(swapped, ~edge, edge)
     one, other = np.where(swapped, ahead[one], one), np.where(swapped, one, ahead[one])
@@ -273,7 +273,7 @@ def _fill(spans, views, polygons, planes, grid, nearness, items):
     start = row * grid.width + column
     shift = (views[pair]) * grid.size
     for group in _groups(length):
-        which, cell = _ranges(start[group], length[group])
+        which, cell = ranges(start[group], length[group])
         near = slope[group][which] * grid.columns[cell]
         near += base[group][which]
         # Rounding may put what is nearly edge-on behind the viewpoint: it stays as far away as can be.

@@ -26,6 +26,7 @@ from .cells import Cells
 from .contour_integral import blockable_faces
 from .faces import Faces
 from .hemisphere import SampledRows
+from .receivers import Receivers, face_cells, patch_rows
 
 #: Bound of a disk's relative error, in squares of cell radius over distance to the cell: 1.3 for a square that looks at
 #: the point, up to 2 for slanted and skewed ones; and that of a cell through which the receiver's horizon passes, in
@@ -129,7 +130,7 @@ def adaptive_disk_factor(
     samples : int
     """
     environment = Environment.from_polygons([polygon])
-    receivers = _Receivers(
+    receivers = Receivers(
         np.atleast_2d(point).astype(float), np.atleast_2d(normal).astype(float), np.zeros(1, int), np.ones(1)
     )
     tally, targets = (
@@ -174,10 +175,10 @@ def disk_rows(
     sight = (
         None if visibility == "none" else _Sight(environment, faces, make_visibility(visibility, environment, threads))
     )
-    cells = _face_cells(environment, faces)
+    cells = face_cells(environment, faces)
     if sampling != "adaptive":
         cells = cells.divided(_grid_side(samples))
-    plain = _face_cells(environment, faces)
+    plain = face_cells(environment, faces)
     count = len(faces)
     values, errors = np.zeros((count, count)), np.zeros((count, count))
     used = np.zeros(count, dtype=np.int64)
@@ -192,7 +193,7 @@ def disk_rows(
                 moved = _jittered(cells, np.random.default_rng((*key, 1))) if sampling == "jittered" else cells
                 tally = _Tally(wanted[block])
                 _gather(
-                    _Receivers.on(plain, faces, block, parts, np.random.default_rng(key)),
+                    Receivers.on(plain, faces, block, parts, np.random.default_rng(key)),
                     _Targets(moved, faces.areas, faces.normals),
                     SLACK * accuracy if sampling == "adaptive" else None,
                     None if sight is None else sight.of(block),
@@ -213,20 +214,7 @@ def disk_rows(
     worst = errors.max(axis=1, initial=0)
     if worst.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: sample limit", worst.max(), accuracy)
-    return _patch_rows(environment, faces, values, worst, used, 0 if sight is None else sight.visibility.rays)
-
-
-def _patch_rows(environment, faces, values, errors, used, rays):
-    """Rows of patches from those of faces."""
-    count = len(environment)
-    exchange, worst, samples = np.zeros((count, count)), np.zeros(count), np.zeros(count, dtype=np.int64)
-    np.add.at(exchange, (faces.owners[:, None], faces.owners), faces.areas[:, None] * values)
-    np.maximum.at(worst, faces.owners, errors)
-    np.add.at(samples, faces.owners, used)
-    areas = environment.areas
-    matrix = np.minimum(exchange / np.where(areas > 0, areas, 1)[:, None], 1)
-    escaped = np.maximum(1 - matrix.sum(axis=1), 0)
-    return SampledRows(matrix, escaped, worst, np.maximum(samples, 1), rays, np.zeros(count))
+    return patch_rows(environment, faces, values, worst, used, 0 if sight is None else sight.visibility.rays)
 
 
 def _grid_side(samples):
@@ -241,24 +229,6 @@ def _unit_normals(cells):
     return normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
-def _face_cells(environment, faces):
-    """Cells of faces, numbered as these are; backs of two-sided patches wind the other way."""
-    cells = Cells.of(environment)
-    front = np.full(len(environment), -1)
-    back = front.copy()
-    fronts = int((environment.areas > 0).sum())
-    front[faces.owners[:fronts]] = np.arange(fronts)
-    back[faces.owners[fronts:]] = np.arange(fronts, len(faces))
-    behind = cells[back[cells.patches] >= 0]
-    return Cells(
-        np.concatenate((cells.origins, behind.origins)),
-        np.concatenate((cells.u, behind.v)),
-        np.concatenate((cells.v, behind.u)),
-        np.concatenate((cells.triangular, behind.triangular)),
-        np.concatenate((front[cells.patches], back[behind.patches])),
-    )
-
-
 def _jittered(cells, generator):
     """Cells moved so that their centers are random points of where they were."""
     shift = cells.points(generator.random((len(cells), 2))) - cells.centers()
@@ -271,43 +241,6 @@ class _Targets:
     def __init__(self, cells, areas, normals):
         self.cells, self.areas, self.normals = cells, areas, normals
         self.sizes, self.radii = cells.areas(), cells.radii()
-
-
-@dataclass(frozen=True)
-class _Receivers:
-    """Points of rows, and what each weighs in its row's average."""
-
-    points: np.ndarray
-    normals: np.ndarray
-    rows: np.ndarray
-    weights: np.ndarray
-
-    @classmethod
-    def on(cls, cells, faces, block, parts, generator):
-        """Points on the faces of a block, whose `cells` are cut into `parts` along each side.
-
-        Each part gets random points that together balance about its center: linear changes average out exactly.
-        """
-        order = np.full(len(faces), -1)
-        order[block] = np.arange(len(block))
-        # Drawn for all, so that a row's points do not depend on the rows that share its block.
-        first = generator.random((len(cells) * parts * parts, 2))
-        fine = cells.divided(parts)
-        first = np.where((fine.triangular & (first.sum(axis=1) > 1))[:, None], 1 - first, first)
-        kept = order[fine.patches] >= 0
-        fine, first = fine[kept], first[kept]
-        u, v = first.T
-        turns = [(u, v), np.where(fine.triangular, (v, 1 - u - v), (1 - u, 1 - v)), (1 - u - v, u)]
-        counts = np.where(fine.triangular, 3, 2)
-        places, which = [], []
-        for number, (a, b) in enumerate(turns):
-            chosen = np.flatnonzero(counts > number)
-            places.append((fine.origins + a[:, None] * fine.u + b[:, None] * fine.v)[chosen])
-            which.append(chosen)
-        which = np.concatenate(which)
-        owners = fine.patches[which]
-        weights = (fine.areas() / counts)[which] / faces.areas[owners]
-        return cls(np.concatenate(places), faces.normals[owners], order[owners], weights)
 
 
 class _Tally:

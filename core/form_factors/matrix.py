@@ -12,9 +12,12 @@ from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
 from .contour_integral import contour_rows
 from .disk import disk_rows
+from .hemicube import hemicube_rows
 from .hemisphere import SampledRows, hemisphere_rows
+from .hybrid import hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
 from .quadrature import quadrature_rows
+from .single_plane import single_plane_rows
 
 #: Matrix entries beyond which a matrix is refused: 8 GiB each for the factors and the copy that repairs them.
 LARGEST_MATRIX = 2**30
@@ -37,16 +40,19 @@ class Method:
     options: tuple[str, ...] = ()
 
 
-def _hemisphere(environment, visibility, accuracy, seed, threads):
-    return hemisphere_rows(environment, accuracy, seed, threads)
+def _hemisphere(environment, visibility, accuracy, seed, threads, **options):
+    return hemisphere_rows(environment, accuracy, seed, threads, **options)
 
 
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
-    "hemisphere": Method(_hemisphere, ("embree",)),
+    "hemisphere": Method(_hemisphere, ("embree",), ("sampling",)),
+    "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",)),
+    "single_plane": Method(single_plane_rows, ("zbuffer",), ("resolution", "lost")),
     "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
-    "disk": Method(disk_rows, ("embree", "brute_force", "none"), ("sampling", "samples")),
-    "contour_integral": Method(contour_rows, ("embree", "brute_force", "none"), ("fast",)),
+    "disk": Method(disk_rows, ("embree", "zbuffer", "brute_force", "none"), ("sampling", "samples")),
+    "hybrid": Method(hybrid_rows, ("embree", "zbuffer"), ("detection",)),
+    "contour_integral": Method(contour_rows, ("embree", "zbuffer", "brute_force", "none"), ("fast",)),
 }
 
 #: What ``auto`` takes.
@@ -136,9 +142,10 @@ def form_factors(
     ----------
     environment : Environment
     method : str
-        ``auto``, ``hemisphere`` or ``point_to_polygon``.
+        ``auto`` or one of `METHODS`.
     visibility : str
-        ``auto``, ``embree`` or, for point_to_polygon where nothing can occlude, ``none``.
+        ``auto``, ``embree`` for rays, ``zbuffer`` for projections, or, for point_to_polygon where nothing can occlude,
+        ``none``.
     accuracy : float
         Standard error wanted for the worst factor, as an absolute number.
     seed : int

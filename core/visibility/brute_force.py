@@ -40,24 +40,28 @@ class BruteForce:
             rows = tested[begin : begin + block]
             for first in range(0, len(self._corners), BLOCK_PAIRS):
                 triangles = self._corners[first : first + BLOCK_PAIRS]
-                free[rows] &= ~_crosses(starts[rows], ends[rows], triangles).any(axis=1)
+                free[rows] &= ~crosses(starts[rows, None], ends[rows, None], triangles).any(axis=1)
         return free
 
 
-def _crosses(starts: np.ndarray, ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(n, m) bool: whether each of n segments crosses each of m triangles (m, 3, 3), borders included."""
-    along = (ends - starts)[:, None]
-    a, b, c = (corners[None, :, i] - starts[:, None] for i in range(3))
-    sides = [
-        np.einsum("nmi,nmi->nm", np.cross(p, q), np.broadcast_to(along, p.shape)) for p, q in ((a, b), (b, c), (c, a))
-    ]
+def crosses(starts: np.ndarray, ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether segments cross triangles, borders included; those within the triangle's plane pass along it.
+
+    Parameters
+    ----------
+    starts, ends : (..., 3) float
+    corners : (..., 3, 3) float
+        Leading dimensions are broadcast against those of the segments.
+    """
+    along = ends - starts
+    a, b, c = (corners[..., i, :] - starts for i in range(3))
+    sides = [(np.cross(p, q) * along).sum(axis=-1) for p, q in ((a, b), (b, c), (c, a))]
     within = (np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals /= np.where(lengths > 0, lengths, 1)[:, None]
-    before = np.einsum("nmi,mi->nm", a, normals)
-    after = before - np.einsum("ni,mi->nm", ends - starts, normals)
-    # Segments within the triangle's plane pass along it, which blocks nothing.
+    normals = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals /= np.where(lengths > 0, lengths, 1)
+    before = (a * normals).sum(axis=-1)
+    after = before - (along * normals).sum(axis=-1)
     rounding = ROUNDING * max(np.abs(corners).max(initial=0), np.abs(starts).max(initial=0))
     apart = np.maximum(np.abs(before), np.abs(after)) > rounding
     return within & (before * after <= 0) & apart

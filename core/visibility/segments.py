@@ -15,6 +15,7 @@ import numpy as np
 from ..environment import Environment
 from ..errors import SettingsError
 from .brute_force import BruteForce
+from .cube_map import CubeMaps
 from .embree import SHADOW_LENGTH, RayEngine
 from .margins import end_margin, trim
 
@@ -79,6 +80,10 @@ def _embree(environment, threads, **options):
     return EmbreeSegments(environment, threads, **options)
 
 
+def _zbuffer(environment, threads, **options):
+    return CubeMaps(environment, **options)
+
+
 def _brute_force(environment, threads, **options):
     return BruteForce(environment, **options)
 
@@ -87,6 +92,7 @@ def _brute_force(environment, threads, **options):
 VISIBILITIES: dict[str, tuple[Callable[..., Visibility], tuple[str, ...]]] = {
     "none": (_none, ()),
     "embree": (_embree, ()),
+    "zbuffer": (_zbuffer, ("resolution",)),
     "brute_force": (_brute_force, ()),
 }
 

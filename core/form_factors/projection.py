@@ -1,0 +1,203 @@
+"""Rows of form factors by projection: what a camera of pixels at points of a patch sees, averaged.
+
+The part that hemicube and single plane share. A camera projects all polygons onto its pixels, each of which stands for
+a known share of the power that leaves the point. A patch's row is the mean over points of a lattice
+rule, with the camera turned about the normal by a random angle at each, so that the errors of
+pixels that straddle a border average out. Each row is computed several times with independent shifts of the points;
+their scatter is the error estimate. Rows whose error is above the wanted one get 2.6 times the points.
+
+Coherence: points of one patch and of its neighbors in the list are projected together. What lies behind all their
+tangent planes is dropped once for all of them and all their faces; what remains is the list from which each view takes
+what it has in its field.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ..environment import Environment
+from ..frames import turned_frames
+from ..visibility.zbuffer import Loops
+from .hemisphere import SampledRows
+from .patch_points import PatchPoints, fibonacci_lattice, fold
+
+#: Cameras times accuracy that a computation takes at least, spread over its patches: where these are few they cost so
+#: little that each gets more points than the accuracy asks for.
+LEAST_CAMERAS = 8.0
+
+#: Rounds, each with lattices of 2.6 times the points, after which the error reached is reported.
+ROUNDS = 8
+
+#: Fraction by which each angle of the turned cameras differs from the one before.
+GOLDEN = (5**0.5 - 1) / 2
+
+#: Pixels plus polygons of all cameras in one block.
+BLOCK_PIXELS = 2**20
+
+logger = logging.getLogger(__name__)
+
+
+class Camera(Protocol):
+    """Pixels around a normal.
+
+    Attributes
+    ----------
+    deltas : (c,) float64
+        Share of the power that leaves the point through each pixel.
+    lost : float
+        Share that leaves through none.
+    """
+
+    deltas: np.ndarray
+    lost: float
+
+    def items(self, points: np.ndarray, frames: np.ndarray, loops: Loops) -> np.ndarray:
+        """(p, c) int32: polygon seen through each pixel from points (p, 3), -1 for none.
+
+        `frames` (p, 3, 3) have two tangents and the normal as rows.
+        """
+
+
+def projection_rows(environment: Environment, cameras: Sequence[Camera], accuracy: float, seed: int = 0) -> SampledRows:
+    """Form factors of all patches by cameras.
+
+    Parameters
+    ----------
+    environment : Environment
+    cameras : sequence of Camera
+        One for each independent repetition of a row, two or more. Let them differ a little in their pixels, so that
+        what these have in common does not escape the error estimate.
+    accuracy : float
+        Standard error wanted for the worst factor of each row.
+    seed : int
+
+    Returns
+    -------
+    SampledRows
+        `errors` holds standard errors of each row's worst factor, but no less than what a patch may contribute that no
+        pixel has met; the camera's lost share is added. `rays` is 0.
+    """
+    count = len(environment)
+    matrix, escaped, errors = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    samples = np.zeros(count, dtype=np.int64)
+    pending = np.flatnonzero(environment.areas > 0)
+    lost = max(camera.lost for camera in cameras)
+    scene = _Scene(environment, cameras)
+    level = _first_level(len(pending) * len(cameras), accuracy)
+    for number in range(ROUNDS):
+        if not len(pending):
+            break
+        rows = scene.rows(pending, level + 2 * number, (seed, number))
+        matrix[pending], escaped[pending], errors[pending], samples[pending] = rows
+        pending = pending[errors[pending] > accuracy]
+    else:
+        if len(pending):
+            logger.warning("Form factors are accurate to %.2g only, not %.2g: limit of points", errors.max(), accuracy)
+    return SampledRows(
+        matrix=matrix,
+        escaped=escaped,
+        errors=np.where(environment.areas > 0, errors + lost, 0),
+        samples=samples,
+        rays=0,
+        leaks=np.full(count, lost),
+    )
+
+
+def _first_level(count: int, accuracy: float) -> int:
+    """Level of `count` lattices to begin with."""
+    wanted = max(LEAST_CAMERAS / (accuracy * max(count, 1)), 1.0)
+    # Fibonacci numbers grow by the golden ratio.
+    return int(np.ceil(np.log(wanted) / np.log(1 + GOLDEN)))
+
+
+def facing_sides(points: np.ndarray, environment: Environment, patches: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """(p, n) bool: whether each point is on a radiating side of each patch, or of the chosen ones."""
+    normals, centroids = environment.normals[patches], environment.centroids[patches]
+    return (points @ normals.T > np.einsum("ni,ni->n", normals, centroids)) | environment.two_sided[patches]
+
+
+class _Scene:
+    """Patches and the camera that looks at them."""
+
+    def __init__(self, environment: Environment, cameras: Sequence[Camera]):
+        self.environment = environment
+        self.cameras = cameras
+        self.loops = Loops.of(environment)
+        self.points = PatchPoints(environment)
+
+    def rows(self, rows: np.ndarray, level: int, seed: tuple[int, int]):
+        """Mean factors (r, n), escaped shares (r,), errors (r,) and cameras (r,) with lattices of a level."""
+        count, cells = len(self.environment), max(len(camera.deltas) for camera in self.cameras)
+        shape = len(rows), count + 1
+        total, squares = np.zeros(shape), np.zeros(shape)
+        table = fibonacci_lattice(level)
+        at_once = max(1, BLOCK_PIXELS // (cells + count))
+        length = max(1, at_once // len(table))
+        for repetition, camera in enumerate(self.cameras):
+            # Drawn for all patches, so that a row's points do not depend on which others are computed.
+            shifts = np.random.default_rng((*seed, repetition)).random((count, 3))[rows]
+            for start in range(0, len(rows), length):
+                part = slice(start, start + length)
+                which, points, weights = self.points(rows[part], fold(table + shifts[part, None, :2]))
+                # Angles advance by the golden ratio from point to point.
+                turns = 2 * np.pi * (shifts[part][which, 2] + np.arange(len(which)) * GOLDEN)
+                shares = np.zeros_like(total[part])
+                for first in range(0, len(which), at_once):
+                    chunk = slice(first, first + at_once)
+                    self._add(camera, shares, rows[part], which[chunk], points[chunk], weights[chunk], turns[chunk])
+                total[part] += shares
+                squares[part] += shares * shares
+        mean = total / len(self.cameras)
+        variance = np.maximum(squares / len(self.cameras) - mean * mean, 0) / (len(self.cameras) - 1)
+        cameras = self.points.pieces_of(rows) * len(table) * len(self.cameras)
+        # A patch that no pixel met may still have up to a pixel's share at one of the points.
+        unseen = max(camera.deltas.max() for camera in self.cameras) / cameras
+        factors, escaped = mean[:, :-1].copy(), mean[:, -1]
+        factors[np.arange(len(rows)), rows] = 0
+        errors = np.sqrt(_steadied(variance[:, :-1], factors).max(axis=1, initial=0))
+        return factors, escaped, np.maximum(errors, unseen), cameras
+
+    def _add(self, camera, shares, rows, which, points, weights, turns):
+        """Add to `shares` (r, n + 1) what cameras at some points see, last column what meets no radiating side."""
+        environment = self.environment
+        normals = environment.normals[rows[which]]
+        # Every other point of a two-sided patch looks from its back, at double weight either way in the mean.
+        back = environment.two_sided[rows[which]] & (np.arange(len(which)) % 2 == 1)
+        normals = np.where(back[:, None], -normals, normals)
+        candidates = in_front(points, normals, self.loops)
+        items = camera.items(points, turned_frames(normals, turns), self.loops.select(candidates))
+        # Items count within the candidates; one more column takes what meets nothing.
+        width = len(candidates) + 1
+        bins = items.astype(np.int64)
+        bins[bins < 0] = len(candidates)
+        bins += np.arange(len(points))[:, None] * width
+        deltas = np.broadcast_to(camera.deltas, bins.shape).ravel()
+        seen = np.bincount(bins.ravel(), deltas, len(points) * width).reshape(len(points), width)[:, :-1]
+        seen *= facing_sides(points, environment, candidates)
+        seen *= weights[:, None]
+        # Points come patch by patch.
+        starts = np.flatnonzero(np.diff(which, prepend=-1))
+        sums = np.add.reduceat(seen, starts, axis=0)
+        there = which[starts]
+        shares[there[:, None], candidates] += sums
+        shares[there, -1] += np.maximum(np.add.reduceat(weights, starts) - sums.sum(axis=1), 0)
+
+
+def _steadied(variances: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Variances (r, n), known from few repetitions, drawn halfway to their row's mean variance per factor.
+
+    The largest of a thousand variances of three degrees of freedom each would else be five times the true one.
+    """
+    sums = factors.sum(axis=1, keepdims=True)
+    common = variances.sum(axis=1, keepdims=True) / np.where(sums > 0, sums, 1)
+    return (variances + common * factors) / 2
+
+
+def in_front(points: np.ndarray, normals: np.ndarray, loops: Loops) -> np.ndarray:
+    """Rows of the polygons that rise above the tangent plane of at least one of the points."""
+    heights = normals @ loops.corners.T - np.einsum("pi,pi->p", points, normals)[:, None]
+    return np.flatnonzero(np.maximum.reduceat(heights.max(axis=0), loops.offsets[:-1]) > loops.edge_on)

@@ -156,12 +156,15 @@ def _shares(environment, faces, wanted, factors, sight, accuracy, seed):
 
 
 def _levels(environment, faces):
-    """Levels of quartering (f, f) that each column's face may take, as a source seen from the row's."""
+    """Levels of quartering (f, f) that each column's face may take, as seen from the row's.
+
+    Reciprocity carries the factor over, so the bright source may be either of the two.
+    """
     power = (environment.emission.max(axis=1) * environment.areas)[faces.owners]
     bright = (power > 0) & (power >= BRIGHT * power.max(initial=0))
     apart = np.linalg.norm(faces.centers[:, None] - faces.centers, axis=2)
     near = apart < NEAR * faces.radii
-    return MOST_LEVEL + MORE_LEVELS * (near | bright)
+    return MOST_LEVEL + MORE_LEVELS * (near | bright | bright[:, None])
 
 
 def _visible(receivers, rows, faces, cells, pending, levels, sight, generator):

@@ -9,7 +9,9 @@ import numpy as np
 from ..environment import Environment
 from ..errors import SettingsError
 from .contour_integral import contour_rows
+from .disk import disk_rows
 from .hemisphere import hemisphere_rows
+from .hybrid import hybrid_rows
 from .identities import repair
 from .matrix import check_accuracy
 from .point_to_polygon import point_to_polygon
@@ -17,7 +19,10 @@ from .quadrature import integrate_pair, sampled_pair, sampled_point
 
 #: Methods for single pairs, by name. The hemisphere needs an environment to cast its rays into; for a pair it is the
 #: matrix of those few polygons.
-PAIR_METHODS = ("point_to_polygon", "hemisphere", "contour_integral")
+PAIR_METHODS = ("point_to_polygon", "hemisphere", "contour_integral", "disk", "hybrid")
+
+#: Methods whose rows serve a pair as they are, and without rays where there are no blockers.
+ROWS = {"contour_integral": contour_rows, "disk": disk_rows, "hybrid": hybrid_rows}
 POINT_METHODS = ("point_to_polygon",)
 
 
@@ -38,7 +43,7 @@ def form_factor(
     blockers : sequence of (k, 3) float
         Polygons that block from both sides.
     method : str
-        ``auto``, ``point_to_polygon``, ``hemisphere`` or ``contour_integral``.
+        ``auto``, ``point_to_polygon``, ``hemisphere``, ``contour_integral``, ``disk`` or ``hybrid``.
     accuracy : float
         Error wanted, as an absolute number; a standard error where rays are cast.
     seed : int
@@ -60,9 +65,9 @@ def form_factor(
     areas = environment.areas
     if areas[0] <= 0 or areas[1] <= 0:
         return 0.0
-    if chosen == "contour_integral":
+    if chosen in ROWS:
         visibility = "embree" if len(environment) > 2 else "none"
-        return float(contour_rows(environment, visibility, accuracy, seed).matrix[0, 1])
+        return float(ROWS[chosen](environment, visibility, accuracy, seed).matrix[0, 1])
     if chosen == "hemisphere":
         rows = hemisphere_rows(environment, accuracy, seed)
         return float(repair(rows.matrix, areas, False, rows.samples)[0, 1])

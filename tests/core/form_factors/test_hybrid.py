@@ -86,3 +86,11 @@ def test_patches_without_area_exchange_nothing():
     matrix = core.form_factors(environment, method="hybrid").matrix
     assert matrix[0, 2] == pytest.approx(0.19982489569838738, abs=1e-12)
     assert not matrix[1].any() and not matrix[:, 1].any()
+
+
+@pytest.mark.parametrize("method", ["contour_integral", "hybrid", "disk"])
+def test_single_pair_with_and_without_a_blocker(method):
+    roof, plate = SQUARE[::-1] + np.array([0, 0, 1.0]), SQUARE * 2 - np.array([0.5, 0.5, -0.5])
+    free = core.form_factor(SQUARE, roof, method=method, accuracy=1e-2)
+    assert free == pytest.approx(0.19982489569838738, abs=1e-12 if method != "disk" else 1e-2)
+    assert core.form_factor(SQUARE, roof, blockers=[plate], method=method, accuracy=1e-2) == 0

@@ -58,7 +58,7 @@ def _pairs(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray, 
 
 
 def curve_keys(points: np.ndarray) -> np.ndarray:
-    """Places (n,) uint64 of points (n, 3), in the unit frame, on a curve that keeps neighbors together (Morton 1966)."""
+    """Places (n,) uint64 of points (n, 3), in the unit frame, on a curve that keeps neighbors near (Morton 1966)."""
     cells = np.clip((points + 0.5) * 1024, 0, 1023).astype(np.uint64)
     key = np.zeros(len(points), np.uint64)
     for bit in range(10):

@@ -10,8 +10,11 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .contour_integral import contour_rows
+from .disk import disk_rows
 from .hemicube import hemicube_rows
 from .hemisphere import SampledRows, hemisphere_rows
+from .hybrid import hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
 from .quadrature import quadrature_rows
 from .single_plane import single_plane_rows
@@ -47,6 +50,9 @@ METHODS: dict[str, Method] = {
     "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",)),
     "single_plane": Method(single_plane_rows, ("zbuffer",), ("resolution", "lost")),
     "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
+    "disk": Method(disk_rows, ("embree", "zbuffer", "brute_force", "none"), ("sampling", "samples")),
+    "hybrid": Method(hybrid_rows, ("embree", "zbuffer"), ("detection",)),
+    "contour_integral": Method(contour_rows, ("embree", "zbuffer", "brute_force", "none"), ("fast",)),
 }
 
 #: What ``auto`` takes.

@@ -8,8 +8,11 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from .contour_integral import contour_rows
 from .cropped import cropped_pair, cropped_point
+from .disk import disk_rows
 from .hemisphere import hemisphere_rows
+from .hybrid import hybrid_rows
 from .identities import repair
 from .matrix import check_accuracy
 from .point_to_polygon import point_to_polygon
@@ -18,8 +21,19 @@ from .single_plane import single_plane_rows
 
 #: Methods for single pairs, by name. The hemisphere needs an environment to cast its rays into; for a pair it is the
 #: matrix of those few polygons.
-PAIR_METHODS = ("point_to_polygon", "hemisphere", "hemicube", "single_plane")
+PAIR_METHODS = (
+    "point_to_polygon",
+    "contour_integral",
+    "hemisphere",
+    "hemicube",
+    "single_plane",
+    "disk",
+    "hybrid",
+)
 POINT_METHODS = ("point_to_polygon", "hemicube")
+
+#: Methods whose rows serve a pair as they are, and without rays where there are no blockers.
+ROWS = {"contour_integral": contour_rows, "disk": disk_rows, "hybrid": hybrid_rows}
 
 
 def form_factor(
@@ -62,6 +76,9 @@ def form_factor(
     areas = environment.areas
     if areas[0] <= 0 or areas[1] <= 0:
         return 0.0
+    if chosen in ROWS:
+        visibility = "embree" if len(environment) > 2 else "none"
+        return float(ROWS[chosen](environment, visibility, accuracy, seed).matrix[0, 1])
     if chosen == "hemisphere":
         rows = hemisphere_rows(environment, accuracy, seed)
         return float(repair(rows.matrix, areas, False, rows.samples)[0, 1])

@@ -153,7 +153,7 @@ def _cross(left, right):
     return result
 
 
-def _sum_edges(crosses, normals, shares, cosines):
+def lambert_sum(crosses, normals, shares, cosines):
     """Sum (n,) over edges of angle times the direction of the edge's normal along the receiver's, over 2 pi.
 
     `crosses` are ray to start of edge cross edge, `shares` (k, n) the part of the edge that counts, `cosines` (k, n)
@@ -178,7 +178,7 @@ def _contour(rays, normals, loop):
     """Contour sum (n,) for polygons wholly above the horizon."""
     starts, ends = [r[:-1] for r in rays], [r[1:] for r in rays]
     edges = np.diff(loop, axis=0).T[:, :, None]
-    return _sum_edges(_cross(starts, edges), normals, None, _dot(starts, ends))
+    return lambert_sum(_cross(starts, edges), normals, None, _dot(starts, ends))
 
 
 def _clipped_contour(rays, normals, loop):
@@ -194,7 +194,7 @@ def _clipped_contour(rays, normals, loop):
     cosines = _dot(*([r + share * e for r, e in zip(starts, edges, strict=True)] for share in (first, last)))
     # Edges below the horizon have no extent; a cosine of zero would make that 0 / 0.
     cosines[last == first] = 1
-    total = _sum_edges(_cross(starts, edges), normals, last - first, cosines)
+    total = lambert_sum(_cross(starts, edges), normals, last - first, cosines)
     # The line on which all crossings lie, seen from the point: azimuths are counted from its nearest point, so they
     # stay within a quarter turn and can be added in any order.
     axis = np.cross(loop[1:-2], loop[2:-1]).sum(axis=0)

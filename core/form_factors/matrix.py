@@ -10,8 +10,10 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .clipped_quadrature import clipped_rows
 from .hemisphere import SampledRows, hemisphere_rows
 from .identities import closure_error, reciprocity_error, repair
+from .point_to_point import VISIBILITIES, point_to_point_rows
 from .quadrature import quadrature_rows
 
 #: Matrix entries beyond which a matrix is refused: 8 GiB each for the factors and the copy that repairs them.
@@ -39,10 +41,16 @@ def _hemisphere(environment, visibility, accuracy, seed, threads):
     return hemisphere_rows(environment, accuracy, seed, threads)
 
 
+def _point_to_polygon(environment, visibility, accuracy, seed, threads):
+    compute = clipped_rows if visibility == "bsp" else quadrature_rows
+    return compute(environment, visibility, accuracy, seed, threads)
+
+
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
     "hemisphere": Method(_hemisphere, ("embree",)),
-    "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
+    "point_to_polygon": Method(_point_to_polygon, ("embree", "none", "bsp")),
+    "point_to_point": Method(point_to_point_rows, VISIBILITIES, ("cells",)),
 }
 
 #: What ``auto`` takes.

@@ -33,6 +33,12 @@ from .convex_loops import is_convex
 #: float32 roundings of scene coordinates would be 1e-7, float64 ones 1e-15; this joins neither gaps nor cracks.
 TOLERANCE = 1e-9
 
+#: Shadows are cut off this much beyond a row's ends, so that the vertices at its ends are within.
+LONGER = 0.5
+
+#: How far behind a surface, in scene sizes, its shadow begins: what lies on it is lit, whatever its rounding.
+BEHIND = 1e-12
+
 #: Rows clipped at once: temporaries near 20 MB.
 BLOCK_ROWS = 65536
 
@@ -94,10 +100,14 @@ def convex_polyhedra(environment: Environment) -> tuple[list[Polyhedron], np.nda
     places = np.zeros((names.max(initial=0) + 1, 3))
     places[names] = corners
     rows = np.flatnonzero(blocking)
-    return [
-        _polyhedron(environment, alive, [loops[f] for f in group], group, normals, offsets, places)
-        for group in _groups([loops[row] for row in rows], rows, normals, offsets)
-    ], center, size
+    return (
+        [
+            _polyhedron(environment, alive, [loops[f] for f in group], group, normals, offsets, places)
+            for group in _groups([loops[row] for row in rows], rows, normals, offsets)
+        ],
+        center,
+        size,
+    )
 
 
 def _parts(corners, normal, offset):
@@ -145,9 +155,7 @@ def _polyhedron(environment, alive, loops, group, normals, offsets, places):
         normal, offset = normals[group[0]], offsets[group[0]]
         edges = np.stack((places[loops[0]], places[np.roll(loops[0], -1)]), axis=1)
         faces = np.tile([0, 1], (len(edges), 1))
-        return Polyhedron(
-            np.stack((normal, -normal)), np.array([offset, -offset]), edges, faces, corners, patches
-        )
+        return Polyhedron(np.stack((normal, -normal)), np.array([offset, -offset]), edges, faces, corners, patches)
     own_normals, own_offsets = normals[group], offsets[group]
     heights = corners @ own_normals.T - own_offsets
     if (heights >= -TOLERANCE).all():
@@ -219,6 +227,20 @@ class SilhouetteVisibility:
         self.polyhedra, self.center, self.size = convex_polyhedra(environment)
         self.rays = 0
 
+    def between(self, corners: np.ndarray) -> np.ndarray:
+        """(p,) bool: whether any polyhedron may stand within the hull of (p, k, 3) corners of two surfaces."""
+        corners = (corners - self.center) / self.size
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        found = np.zeros(len(corners), dtype=bool)
+        for solid in self.polyhedra:
+            near = (low <= solid.corners.max(axis=0) + TOLERANCE).all(axis=1)
+            near &= (high >= solid.corners.min(axis=0) - TOLERANCE).all(axis=1)
+            rows = np.flatnonzero(near & ~found)
+            heights = corners[rows] @ solid.normals.T - solid.offsets
+            # Nothing of it is between two surfaces that both lie outside of one of its faces.
+            found[rows] = ~(heights >= -TOLERANCE).all(axis=1).any(axis=1)
+        return found
+
     def visible(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """(n,) bool: whether the open segment from each origin (n, 3) to its target (n, 3) meets no polyhedron."""
         targets = np.asarray(targets, dtype=np.float64)
@@ -256,6 +278,7 @@ class SilhouetteVisibility:
         rows, intervals = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
         for chosen, shadows in self._shadows(*(np.asarray(a, dtype=np.float64) for a in (points, starts, ends))):
             for low, high in shadows:
+                low, high = np.maximum(low, 0), np.minimum(high, 1)
                 real = high > low
                 rows.append(chosen[real])
                 intervals.append(np.stack((low[real], high[real]), axis=1))
@@ -292,7 +315,7 @@ def _clip(solid, points, starts, ends):
     outside = heights > TOLERANCE
     seen = outside.any(axis=1)
     # From outside: behind every face that looks at the point, and within the contour.
-    low, high = _within(first, last, outside)
+    low, high = _within(first + BEHIND, last + BEHIND, outside)
     for edge, faces in zip(solid.edges, solid.edge_faces, strict=True):
         here, there = outside[:, faces[0]], outside[:, faces[1]]
         rows = np.flatnonzero(here != there)
@@ -312,11 +335,12 @@ def _clip(solid, points, starts, ends):
     inner_low, inner_high = _within(first - 2 * TOLERANCE, last - 2 * TOLERANCE, ~touching & ~seen[:, None])
     end = np.where(seen, begin, end)
     lost = inner_high <= inner_low
-    return [
+    shadows = [
         (low, high),
         (begin, np.where(lost, end, np.minimum(end, inner_low))),
         (np.maximum(begin, inner_high), np.where(lost, begin, end)),
     ]
+    return [(np.maximum(low, -LONGER), np.minimum(high, LONGER + 1)) for low, high in shadows]
 
 
 def _within(first, last, planes):

@@ -214,10 +214,14 @@ def clipped_rows(environment, visibility, accuracy, seed=0, threads=0) -> Sample
     matrix[sources, receivers] = values * areas[receivers] / np.where(areas[sources] > 0, areas[sources], 1)
     np.maximum.at(errors, receivers, changes)
     np.maximum.at(errors, sources, changes)
+    # What a row's factors together may be off, so that a closed environment is known as one.
+    losses = np.bincount(receivers, changes, count) + np.bincount(sources, changes, count)
     if errors.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: cell limit", errors.max(), accuracy)
     escaped = np.maximum(1 - matrix.sum(axis=1), 0)
-    return SampledRows(matrix, escaped, errors, np.ones(count, dtype=np.int64), quadrature.views, np.zeros(count))
+    return SampledRows(
+        matrix, escaped, errors, np.ones(count, dtype=np.int64), quadrature.views, np.minimum(losses, 0.01)
+    )
 
 
 def _affordable(task, changes, budgets):

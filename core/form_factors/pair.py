@@ -8,6 +8,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from .clipped_quadrature import ClippedQuadrature
 from .hemisphere import hemisphere_rows
 from .identities import repair
 from .matrix import check_accuracy
@@ -19,6 +20,9 @@ from .quadrature import integrate_pair, sampled_pair, sampled_point
 PAIR_METHODS = ("point_to_polygon", "hemisphere")
 POINT_METHODS = ("point_to_polygon",)
 
+#: What hides, by name, for point_to_polygon: rays, or exact clipping.
+VISIBILITIES = ("embree", "bsp")
+
 
 def form_factor(
     polygon_a: np.ndarray,
@@ -27,6 +31,7 @@ def form_factor(
     method: str = "auto",
     accuracy: float = 1e-3,
     seed: int = 0,
+    visibility: str = "auto",
 ) -> float:
     """Share of the power leaving the front of one polygon that reaches the front of another.
 
@@ -41,6 +46,8 @@ def form_factor(
     accuracy : float
         Error wanted, as an absolute number; a standard error where rays are cast.
     seed : int
+    visibility : str
+        ``auto`` or ``embree`` for rays, ``bsp`` for exact clipping (point_to_polygon only).
 
     Returns
     -------
@@ -55,6 +62,7 @@ def form_factor(
     """
     check_accuracy(accuracy)
     chosen = _choose(method, PAIR_METHODS)
+    clipped = _clips(visibility, chosen)
     environment = Environment.from_polygons([polygon_a, polygon_b, *blockers])
     areas = environment.areas
     if areas[0] <= 0 or areas[1] <= 0:
@@ -65,7 +73,10 @@ def form_factor(
     # Sampling the smaller polygon needs fewer points, and reciprocity carries the result over.
     receiver, source = (0, 1) if areas[0] <= areas[1] else (1, 0)
     scale = areas[receiver] / areas[0]
-    if len(environment) > 2:
+    if clipped and len(environment) > 2:
+        factors, _ = ClippedQuadrature(environment).pairs([receiver], [source], np.array([accuracy / scale]))
+        factor = factors[0]
+    elif len(environment) > 2:
         factor, _, _ = sampled_pair(environment, receiver, source, accuracy / scale, seed)
     else:
         factor, _ = integrate_pair(environment, receiver, source, accuracy / scale)
@@ -80,6 +91,7 @@ def configuration_factor(
     method: str = "auto",
     accuracy: float = 1e-3,
     seed: int = 0,
+    visibility: str = "auto",
 ) -> float:
     """Share of the power leaving a differential area that reaches the front of a polygon.
 
@@ -94,8 +106,10 @@ def configuration_factor(
     method : str
         ``auto`` or ``point_to_polygon``.
     accuracy : float
-        Standard error wanted, as an absolute number, where there are blockers; exact without.
+        Standard error wanted, as an absolute number, where there are blockers; exact without, and with ``bsp``.
     seed : int
+    visibility : str
+        ``auto`` or ``embree`` for rays, ``bsp`` for exact clipping.
 
     Returns
     -------
@@ -109,13 +123,15 @@ def configuration_factor(
         If a polygon is malformed; the polygon counts as 0, blockers from 1.
     """
     check_accuracy(accuracy)
-    _choose(method, POINT_METHODS)
+    clipped = _clips(visibility, _choose(method, POINT_METHODS))
     point, normal = (np.asarray(v, dtype=np.float64) for v in (point, normal))
     if point.shape != (3,) or normal.shape != (3,) or not np.isfinite([*point, *normal]).all() or not normal.any():
         raise SettingsError("Point and normal must be three finite numbers each, and the normal not zero")
     normal = normal / np.abs(normal).max()
     normal = normal / np.linalg.norm(normal)
     environment = Environment.from_polygons([polygon, *blockers])
+    if clipped and len(environment) > 1:
+        return ClippedQuadrature(environment).point(point, normal, 0)
     if len(environment) > 1:
         return sampled_point(environment, point, normal, 0, accuracy, seed)[0]
     return float(point_to_polygon(point[None], normal[None], environment.polygons[0])[0])
@@ -126,3 +142,12 @@ def _choose(method: str, known: tuple[str, ...]) -> str:
     if chosen not in known:
         raise SettingsError(f"Unknown form-factor method {method!r}: choose auto, {', '.join(known)}")
     return chosen
+
+
+def _clips(visibility: str, method: str) -> bool:
+    """Whether a visibility means exact clipping."""
+    if visibility not in ("auto", *VISIBILITIES):
+        raise SettingsError(f"Unknown visibility {visibility!r}: choose auto, {', '.join(VISIBILITIES)}")
+    if visibility == "bsp" and method != "point_to_polygon":
+        raise SettingsError(f"Visibility 'bsp' does not exist for {method}: choose auto, embree")
+    return visibility == "bsp"

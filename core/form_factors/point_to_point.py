@@ -239,7 +239,7 @@ def point_to_point_rows(environment, visibility, accuracy, seed=0, threads=0, ce
         changes.max(axis=1, initial=0),
         np.ones(count, dtype=np.int64),
         integrator.tested,
-        np.zeros(count),
+        np.minimum(changes.sum(axis=1), 0.01),
     )
 
 

@@ -7,9 +7,9 @@ the number of points on it. Two selections come first, as in the paper: polyhedr
 that the triangle of point and row meets.
 
 Choose it for point to point form factors among boxes and the like: a row of k points costs little more than one. The
-polyhedra are found among the environment's polygons: groups joined by edges. Polygons that have the whole environment on
-one side, as the walls of a convex room do, block nothing and are left out. A lone convex polygon is a flat polyhedron. An
-open group is one, too, if its holes are flat and nothing lies beyond them, as under a box that stands on a floor.
+polyhedra are found among the environment's polygons: groups joined by edges. Polygons that have the whole environment
+in front, as the walls of a convex room do, block nothing in it and are left out. A lone convex polygon is a flat
+polyhedron. An open group is one, too, if its holes are flat and nothing lies beyond them, as under a box on a floor.
 
 Limits: blockers that are not convex polyhedra are refused by name; a BSP tree or rays take any.
 
@@ -91,7 +91,7 @@ def convex_polyhedra(environment: Environment) -> tuple[list[Polyhedron], np.nda
     normals = environment.normals[alive]
     offsets = np.einsum("fi,fi->f", normals, corners[starts]) if len(alive) else np.zeros(0)
     blocking = np.array(
-        [_parts(corners, normal, offset) for normal, offset in zip(normals, offsets, strict=True)], dtype=bool
+        [_blocks(corners, normal, offset) for normal, offset in zip(normals, offsets, strict=True)], dtype=bool
     )
     _, names = np.unique(np.round(corners / TOLERANCE), axis=0, return_inverse=True)
     names = names.reshape(-1)
@@ -110,10 +110,9 @@ def convex_polyhedra(environment: Environment) -> tuple[list[Polyhedron], np.nda
     )
 
 
-def _parts(corners, normal, offset):
-    """Whether corners lie on both sides of a plane."""
-    heights = corners @ normal - offset
-    return heights.max() > TOLERANCE and heights.min() < -TOLERANCE
+def _blocks(corners, normal, offset):
+    """Whether a polygon has some of the corners behind it."""
+    return (corners @ normal - offset).min() < -TOLERANCE
 
 
 def _groups(loops, rows, normals, offsets):
@@ -323,7 +322,7 @@ def _clip(solid, points, starts, ends):
             continue
         planes = np.cross(edge[0] - points[rows], edge[1] - points[rows])
         lengths = np.linalg.norm(planes, axis=1, keepdims=True)
-        # Counter-clockwise around a face that looks at the point, the shadow is where the plane's normal does not point.
+        # Counter-clockwise around a face that looks at the point, the plane's normal points out of the shadow.
         planes *= np.where(here[rows], 1, -1)[:, None] / np.where(lengths > 0, lengths, 1)
         ends_over = [np.einsum("ni,ni->n", planes, (end - points)[rows]) for end in (starts, ends)]
         edge_low, edge_high = _below(*ends_over)

@@ -1,9 +1,9 @@
 """Adaptive quadrature of exactly clipped polygons: form factors with occlusion, without a single random number.
 
 At a point, the visible parts of the other polygon are found exactly (`visible_fragments`) and each has its factor in
-closed form. What is left is one smooth integral over the receiver, with kinks where shadows begin: cells of the receiver
-are divided until what a division changes adds up to less than the accuracy. So occlusion costs no noise: errors of
-1e-6 take as little as a second on a pair, where rays would need 1e9.
+closed form. What is left is one smooth integral over the receiver, with kinks where shadows begin: cells of it are cut
+along `critical_lines` or divided until what a division changes adds up to less than the accuracy. So occlusion costs no
+noise: errors of 1e-6 take as little as a second on a pair, where rays would need 1e9.
 
 Choose it (``visibility="bsp"``) for pairs, points and small environments; a point's result is exact to rounding. For n
 patches it costs n^2 integrals, each proportional to the blockers between: some 10 ms a pair at an accuracy of 1e-4.

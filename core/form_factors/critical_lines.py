@@ -1,9 +1,9 @@
 """Critical lines: where, on a receiver, the view of a polygon among blockers changes its make-up.
 
 While a point moves over a receiver, the outline of what it sees of a source changes smoothly until a corner of one
-polygon meets an edge of another, or a polygon is seen edge-on, or the point crosses a polygon that touches the receiver.
-Each of these happens on a straight line of the receiver [1]_. A rule of integration that is applied to either side of
-such a line meets no kink. Events of three edges run along curves and are left to refinement.
+polygon meets an edge of another, or a polygon is seen edge-on, or the point crosses one that touches the receiver. Each
+of these happens on a straight line of the receiver [1]_. A rule of integration that is applied to either side of such a
+line meets no kink. Events of three edges run along curves and are left to refinement.
 
 Cost: corners^2 lines for each blocker of a pair, in whole arrays; nothing is traced along them.
 

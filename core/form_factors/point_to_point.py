@@ -1,15 +1,16 @@
 """Point to point: form factors from distances to planes, at the vertices of patches (Nishita and Nakamae 1985).
 
 A patch is a grid of vertices. The factor from a point to the small area that a vertex stands for is the product of the
-two distances to each other's plane over pi r^4 (survey eq. 10), and a vertex weighs 1/4 in a corner, 1/2 on an edge and 1
-inside. A row of vertices is tested for shadows at once, which `silhouettes` does exactly. This is the trapezoid rule on
-the double integral: its error falls with the square of the spacing while patches are apart.
+two distances to each other's plane over pi r^4 (survey eq. 10), and a vertex weighs 1/4 in a corner, 1/2 on an edge and
+1 inside. A row of vertices is tested for shadows at once, which `silhouettes` does exactly. This is the trapezoid rule
+on the double integral: its error falls with the square of the spacing while patches are apart.
 
-Choose it for scenes of boxes without a ray engine, for vertex radiosities, and as the plainest of formulas to test others
-against. Cost: a few nanoseconds per pair of vertices, grids doubled pair by pair until the factor stands still.
+Choose it for scenes of boxes without a ray engine, for vertex radiosities, and as the plainest of formulas to test
+others against. Cost: a few nanoseconds per pair of vertices, grids doubled pair by pair until the factor stands still.
 
-Limits: where patches touch, the integrand is singular and convergence slow: the matrix takes points in the middles of
-cells, which never coincide with vertices, and a point's factor is cut off at 1. Curved grids are not supported.
+Limits: where patches touch, the integrand is singular. The matrix takes points in the middles of cells, which never
+coincide with vertices, and grids that are denser towards the borders, where patches touch; a point's factor is cut off
+at 1. Contacts inside of a patch, as under a box on an undivided floor, still converge slowly: divide the floor there.
 
 References
 ----------
@@ -49,33 +50,40 @@ COINCIDENT = 1e-28
 logger = logging.getLogger(__name__)
 
 
-def vertex_grid(corners: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of patches and the areas that they stand for.
+def grid_steps(cells: int, graded: bool = False) -> np.ndarray:
+    """(cells + 1,) places from 0 to 1 of the lines of a grid: even, or denser towards both ends by a cosine."""
+    steps = np.linspace(0, 1, cells + 1)
+    return (1 - np.cos(np.pi * steps)) / 2 if graded else steps
+
+
+def vertex_grid(corners: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of patches and the areas that they stand for, each up to half way to its neighbors.
 
     Parameters
     ----------
     corners : (q, 4, 3) float
         Convex planar quadrilaterals; triangles repeat their last corner.
-    cells : int
-        Cells per side, 1 or more.
+    steps : (m + 1,) float
+        Lines of the grid, as of `grid_steps`.
 
     Returns
     -------
-    vertices : (q, cells + 1, cells + 1, 3) float64
+    vertices : (q, m + 1, m + 1, 3) float64
         By rows.
-    areas : (q, cells + 1, cells + 1) float64
-        Area around each vertex: of a parallelogram ``w A / cells^2`` with w = 1/4, 1/2 or 1. They sum to A.
+    areas : (q, m + 1, m + 1) float64
+        Of a parallelogram with even steps ``w A / m^2``, where w is 1/4, 1/2 or 1. They sum to A.
     """
-    steps = np.linspace(0, 1, cells + 1)
-    weights = np.where((steps == 0) | (steps == 1), 0.5, 1) / cells
+    widths = np.zeros(len(steps))
+    widths[:-1] += np.diff(steps) / 2
+    widths[1:] += np.diff(steps) / 2
     vertices, stretch = _bilinear(corners, steps)
-    return vertices, stretch * weights[:, None] * weights
+    return vertices, stretch * widths[:, None] * widths
 
 
-def cell_middles(corners: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (q, cells, cells, 3) of the cells of patches (q, 4, 3), and the areas (q, cells, cells) of the cells."""
-    vertices, stretch = _bilinear(corners, (np.arange(cells) + 0.5) / cells)
-    return vertices, stretch / cells**2
+def cell_middles(corners: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (q, m, m, 3) of the cells between the lines of a grid, and the areas (q, m, m) of the cells."""
+    vertices, stretch = _bilinear(corners, (steps[1:] + steps[:-1]) / 2)
+    return vertices, stretch * np.diff(steps)[:, None] * np.diff(steps)
 
 
 def _bilinear(corners, steps):
@@ -124,7 +132,8 @@ def point_to_vertices(
     length = np.linalg.norm(normal)
     if not length > 0:
         return np.zeros(len(points))
-    grid = _Grid(*vertex_grid(quad, cells))
+    steps = grid_steps(cells)
+    grid = _Grid(*vertex_grid(quad, steps), steps)
     factors = np.zeros(len(points))
     block = max(1, BLOCK_POINTS // (cells + 1) ** 2)
     for start in range(0, len(points), block):
@@ -137,10 +146,11 @@ def point_to_vertices(
 
 @dataclass(frozen=True)
 class _Grid:
-    """Vertices (p, r, s, 3) by rows, and their areas (p, r, s)."""
+    """Vertices (p, r, s, 3) by rows, their areas (p, r, s), and the places (s,) of the lines from 0 to 1."""
 
     vertices: np.ndarray
     areas: np.ndarray
+    steps: np.ndarray
 
 
 def _vertex_sums(points, normals, grid, source_normals, two_sided, visibility):
@@ -159,20 +169,21 @@ def _vertex_sums(points, normals, grid, source_normals, two_sided, visibility):
     squares[squares <= COINCIDENT * extent] = np.inf
     values = over * back / (np.pi * squares * squares) * grid.areas.reshape(pairs, 1, -1)
     if visibility is not None:
-        values *= _seen(points, grid.vertices, values > 0, visibility)
+        values *= _seen(points, grid, values > 0, visibility)
     return values.sum(axis=2)
 
 
-def _seen(points, vertices, wanted, visibility):
+def _seen(points, grid, wanted, visibility):
     """(p, n, v) bool: which vertices are visible; a row at once where the visibility can."""
     pairs, count, total = wanted.shape
+    vertices = grid.vertices
     rows, columns = vertices.shape[1:3]
     seen = np.zeros(wanted.shape, dtype=bool)
     if isinstance(visibility, SilhouetteVisibility):
         used = wanted.reshape(pairs, count, rows, columns).any(axis=3)
         pair, point, row = np.nonzero(used)
         ends = vertices[pair, row, 0], vertices[pair, row, -1]
-        free = visibility.visible_rows(points[pair, point], *ends, columns)
+        free = visibility.visible_rows(points[pair, point], *ends, grid.steps)
         seen.reshape(pairs, count, rows, columns)[pair, point, row] = free
         return seen
     pair, point, vertex = np.nonzero(wanted)
@@ -255,7 +266,7 @@ def _visibility(name, environment):
 class _Rounds:
     """Factors on successive grids, each of half the spacing, and where they are heading.
 
-    Changes fall by 4 from grid to grid between patches that are apart, by 2 where they touch, and shadows mix the two.
+    Changes fall by 4 from grid to grid where all is smooth, less where patches touch, and shadows mix the two.
     The fall is measured, and the rest of its geometric series added (Aitken's process), where it is one.
     """
 
@@ -294,7 +305,7 @@ class _Integrator:
         self.corners = pad([*loops, np.zeros((4, 3))])[:-1]
         self.patches = np.array(patches, dtype=np.int64)
         self.normals = environment.normals[self.patches]
-        self.areas = vertex_grid(self.corners, 1)[1].sum(axis=(1, 2))
+        self.areas = vertex_grid(self.corners, grid_steps(1))[1].sum(axis=(1, 2))
         self.patch_areas = np.bincount(self.patches, self.areas, len(environment))
         self.two_sided = environment.two_sided[self.patches]
 
@@ -341,10 +352,11 @@ class _Integrator:
             chosen = np.flatnonzero(sides * 2 + hidden == key)
             here, there = receivers[chosen], sources[chosen]
             two_sided = (bool(key & 4), bool(key & 2))
-            points, areas = cell_middles(self.corners[here], cells)
+            steps = grid_steps(cells, graded=True)
+            points, areas = cell_middles(self.corners[here], steps)
             points, areas = points.reshape(len(here), -1, 3), areas.reshape(len(here), -1)
             normals = np.repeat(self.normals[here, None], points.shape[1], axis=1)
-            grid = _Grid(*vertex_grid(self.corners[there], cells))
+            grid = _Grid(*vertex_grid(self.corners[there], steps), steps)
             visibility = self.visibility if key & 1 else None
             sums = _vertex_sums(points, normals, grid, self.normals[there], two_sided, visibility)
             # Half of the power of a two-sided patch leaves on either side.

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..environment import Environment
-from .convex_loops import ConvexPieces, convex_pieces, join, plane_heights, split, widen
+from .convex_loops import ConvexPieces, convex_pieces, join, split
 
 #: Height over a plane, in scene sizes, up to which a corner lies in it. A thousand roundings of unit coordinates, and
 #: far below the gaps that must not close (1e-6 of the size).

@@ -142,8 +142,3 @@ def _kept(corners, hits, kept, crossing):
     place = np.minimum(np.arange(order.shape[1]), totals[:, None] - 1)
     chosen = np.take_along_axis(order, place, axis=1)
     return np.take_along_axis(candidates, chosen[:, :, None], axis=1)
-
-
-def plane_heights(loops: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Heights (m, k) of corners over one plane per loop."""
-    return np.einsum("mki,mi->mk", loops, normals) - offsets[:, None]

@@ -5,7 +5,8 @@ from one to the other. The planes tried are those of the two polygons, of the bl
 and those through an edge of one and a corner of the other that keep both on one side: for convex polygons these are the
 hull's own. Neighboring points of a patch share the list, which is what makes exact clipping affordable.
 
-Cost: corners^2 times blockers for each pair, in whole arrays. Limit: conservative; what touches the shaft is a candidate.
+Cost: corners^2 times blockers for each pair, in whole arrays. Limit: conservative; what touches the shaft is a
+candidate.
 """
 
 from __future__ import annotations

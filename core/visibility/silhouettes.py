@@ -1,10 +1,10 @@
 """Silhouettes: the shadows of convex polyhedra on a whole row of points at once (Nishita and Nakamae 1985).
 
 Seen from a point, the shadow of a convex polyhedron is bounded by the planes through the point and the contour, the
-edges between a face that looks at the point and one that does not, and begins behind the faces that look at it. A row of
-points is a straight line, which each plane cuts once: so the shadow on a row is one interval with exact ends, whatever
-the number of points on it. Two selections come first, as in the paper: polyhedra between the two surfaces, and those
-that the triangle of point and row meets.
+edges between a face that looks at the point and one that does not, and begins behind the faces that look at it. A row
+of points is a straight line, which each plane cuts once: so the shadow on a row is one interval with exact ends,
+whatever the number of points on it. Two selections come first, as in the paper: polyhedra between the two surfaces, and
+those that the triangle of point and row meets.
 
 Choose it for point to point form factors among boxes and the like: a row of k points costs little more than one. The
 polyhedra are found among the environment's polygons: groups joined by edges. Polygons that have the whole environment
@@ -243,13 +243,12 @@ class SilhouetteVisibility:
     def visible(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """(n,) bool: whether the open segment from each origin (n, 3) to its target (n, 3) meets no polyhedron."""
         targets = np.asarray(targets, dtype=np.float64)
-        return self.visible_rows(origins, targets, targets, 1)[:, 0]
+        return self.visible_rows(origins, targets, targets, np.array([0.5]))[:, 0]
 
-    def visible_rows(self, points: np.ndarray, starts: np.ndarray, ends: np.ndarray, count: int) -> np.ndarray:
-        """(n, count) bool: which of `count` even steps from each start to its end are seen from its point."""
+    def visible_rows(self, points: np.ndarray, starts: np.ndarray, ends: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """(n, s) bool: which places of rows, at steps (s,) from 0 at the start to 1 at the end, the points see."""
         points, starts, ends = (np.asarray(a, dtype=np.float64) for a in (points, starts, ends))
-        free = np.ones((len(points), count), dtype=bool)
-        steps = np.linspace(0, 1, count) if count > 1 else np.array([0.5])
+        free = np.ones((len(points), len(steps)), dtype=bool)
         for first in range(0, len(points), BLOCK_ROWS):
             rows = slice(first, first + BLOCK_ROWS)
             for chosen, shadows in self._shadows(points[rows], starts[rows], ends[rows]):

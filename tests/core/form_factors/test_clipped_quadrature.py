@@ -12,7 +12,8 @@ CASES = form_factor_cases()
 OBSTRUCTED = ids(CASES, "obstructed")
 ENCLOSURES = ("enc-facet-8", "enc-L-room", "enc-two-sealed-cubes")
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-ABOVE = SQUARE[::-1] + [0, 0, 1]
+UP = np.array([0.0, 0, 1])
+ABOVE = SQUARE[::-1] + UP
 
 
 def pair_values(case, **choices):

@@ -6,6 +6,7 @@ from radiosity import core
 from radiosity.core.errors import SettingsError
 from radiosity.core.form_factors.point_to_point import (
     cell_middles,
+    grid_steps,
     point_to_point_rows,
     point_to_vertices,
     vertex_grid,
@@ -17,7 +18,8 @@ from tests.reference_cases import allowed, form_factor_cases, ids, in_order, pol
 CASES = form_factor_cases()
 RULES = [name for name in ids(CASES, "rule") if name.startswith("rule-vertex")]
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-ABOVE = SQUARE[::-1] + [0, 0, 1]
+UP = np.array([0.0, 0, 1])
+ABOVE = SQUARE[::-1] + UP
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -32,27 +34,26 @@ def test_published_formula_to_rounding(name):
 
 
 def test_weights_are_a_quarter_a_half_and_one():
-    _, areas = vertex_grid(SQUARE[None], 3)
+    _, areas = vertex_grid(SQUARE[None], grid_steps(3))
     np.testing.assert_allclose(areas[0] * 9, np.outer([0.5, 1, 1, 0.5], [0.5, 1, 1, 0.5]))
 
 
+@pytest.mark.parametrize("graded", [False, True])
 @pytest.mark.parametrize(
     "corners",
     [SQUARE, SQUARE[[0, 1, 2, 2]], [[0, 0, 0], [2, 0, 0], [1.5, 1, 0], [0, 0.5, 0]]],
     ids=["square", "triangle", "trapezoid"],
 )
-def test_grids_keep_the_area(corners):
+def test_grids_keep_the_area(corners, graded):
     corners = np.array(corners, dtype=float)
     area = core.Environment.from_polygons([corners]).areas[0]
     for make in (vertex_grid, cell_middles):
-        points, areas = make(corners[None], 5)
+        points, areas = make(corners[None], grid_steps(5, graded))
         assert areas.sum() == pytest.approx(area, rel=1e-14)
         # Nothing outside, and the center of area to the square of the spacing.
         assert (points >= 0).all()
         center = (points * areas[..., None]).sum(axis=(0, 1, 2)) / areas.sum()
-        np.testing.assert_allclose(
-            center, core.Environment.from_polygons([corners]).centroids[0], atol=0.3 / 25
-        )
+        np.testing.assert_allclose(center, core.Environment.from_polygons([corners]).centroids[0], atol=0.35 / 10)
 
 
 def test_error_falls_with_the_square_of_the_spacing():
@@ -70,7 +71,7 @@ def test_a_shadow_takes_its_vertices_away():
     floor = light[::-1] * [1, 1, 0]
     visibility = SilhouetteVisibility(core.Environment.from_polygons([floor, light, plate]))
     point, normal = np.array([[0.0, 0, 0]]), np.array([[0, 0, 1.0]])
-    vertices, areas = vertex_grid(light[None], 8)
+    vertices, areas = vertex_grid(light[None], grid_steps(8))
     squares = (vertices**2).sum(axis=-1)
     lit = (np.abs(vertices[..., :2]) >= 0.5).any(axis=-1)
     wanted = (areas / (np.pi * squares**2))[lit].sum()
@@ -95,14 +96,15 @@ def test_matrix_at_the_coarse_level(name):
 
 
 def test_silhouettes_and_tree_give_the_same_factors():
-    environment = core.Environment.from_polygons(polygons_of(CASES["enc-box345-1cube"])[0])
+    polygons, _ = polygons_of(CASES["enc-box345-1cube"])
+    # Off its place, so that no vertex lies on the very edge of a shadow, where either answer is right.
+    polygons[6:] = [face + np.array([0.0137, 0.0071, 0.0219]) for face in polygons[6:]]
+    environment = core.Environment.from_polygons(polygons)
     by_silhouettes, by_tree, free = (
         point_to_point_rows(environment, name, 1e-2, cells=4).matrix for name in ("silhouettes", "bsp", "none")
     )
     assert np.abs(by_silhouettes - free).max() > 0.01
-    # Vertices on the very edge of a shadow fall on either side.
-    np.testing.assert_allclose(by_silhouettes, by_tree, atol=1e-3)
-    assert np.isclose(by_silhouettes, by_tree, atol=1e-12).mean() > 0.8
+    np.testing.assert_allclose(by_silhouettes, by_tree, atol=1e-14)
 
 
 def test_a_two_sided_patch_gives_half_to_either_side():

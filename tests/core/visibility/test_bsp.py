@@ -57,7 +57,7 @@ def test_segments_between_surfaces_are_not_blocked_by_their_ends_nor_pass_a_seam
         [polygon[0] + generator.random((50, 2)) @ (polygon[[1, 3]] - polygon[0]) for polygon in cube.polygons]
     )
     assert BspVisibility(cube).visible(points, np.roll(points, 50, axis=0)).all()
-    seam = core.Environment.from_polygons([SQUARE, SQUARE + [1, 0, 0]])
+    seam = core.Environment.from_polygons([SQUARE, SQUARE + np.array([1, 0, 0])])
     assert not BspVisibility(seam).visible(np.array([[0.7, 0.2, 1]]), np.array([[1.3, 0.8, -1]]))[0]
 
 
@@ -101,7 +101,7 @@ def test_order_from_near_to_far_is_never_contradicted_by_a_segment():
 
 def test_what_is_left_of_a_half_hidden_square_has_exactly_half_its_area():
     # From below its middle, a plate at half the height that covers x < 1/2 hides the half with x < 1/2.
-    light = SQUARE[::-1] + [0, 0, 1]
+    light = SQUARE[::-1] + np.array([0, 0, 1])
     plate = np.array([[-1, -1, 0.5], [0.5, -1, 0.5], [0.5, 2, 0.5], [-1, 2, 0.5]])
     quadrature = ClippedQuadrature(core.Environment.from_polygons([light, plate]))
     eye = quadrature.tree.pieces.to_unit(np.array([[0.5, 0.5, 0]]))

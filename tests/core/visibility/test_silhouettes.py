@@ -36,12 +36,12 @@ ROOM = [face[::-1] for face in box([0, 0, 0], [1, 1, 1])]
 GENERATOR = np.random.default_rng(0)
 SCENES = {
     "cube": box([0.3, 0.4, 0.2], [0.6, 0.7, 0.5]),
-    "cube in a room": ROOM + box([0.3, 0.4, 0.2], [0.6, 0.7, 0.5]),
-    "box on the floor": ROOM + box([0.3, 0.4, 0], [0.6, 0.7, 0.5])[1:],
-    "two solids": tetrahedron(GENERATOR) + box([2, 2, 2], [3, 3, 3]),
-    "plate": ROOM + [np.array([[0.2, 0.3, 0.4], [0.8, 0.2, 0.6], [0.6, 0.8, 0.5]])],
-    "two plates": ROOM
-    + [
+    "cube in a room": [*ROOM, *box([0.3, 0.4, 0.2], [0.6, 0.7, 0.5])],
+    "box on the floor": [*ROOM, *box([0.3, 0.4, 0], [0.6, 0.7, 0.5])[1:]],
+    "two solids": [*tetrahedron(GENERATOR), *box([2, 2, 2], [3, 3, 3])],
+    "plate": [*ROOM, np.array([[0.2, 0.3, 0.4], [0.8, 0.2, 0.6], [0.6, 0.8, 0.5]])],
+    "two plates": [
+        *ROOM,
         np.array([[0.2, 0.3, 0.4], [0.8, 0.2, 0.4], [0.6, 0.8, 0.4]]),
         np.array([[0.5, 0.1, 0.7], [0.9, 0.9, 0.7], [0.1, 0.9, 0.7]]),
     ],
@@ -63,7 +63,7 @@ def test_intervals_agree_with_dense_segments(name):
     targets = starts[:, None] + steps[:, None] * (ends - starts)[:, None]
     wanted = tree.visible(np.repeat(points, 41, axis=0), targets.reshape(-1, 3)).reshape(300, 41)
     assert 0.02 < 1 - wanted.mean() < 0.9
-    np.testing.assert_array_equal(silhouettes.visible_rows(points, starts, ends, 41), wanted)
+    np.testing.assert_array_equal(silhouettes.visible_rows(points, starts, ends, steps), wanted)
     single = silhouettes.visible(np.repeat(points, 41, axis=0), targets.reshape(-1, 3)).reshape(300, 41)
     np.testing.assert_array_equal(single, wanted)
 
@@ -128,5 +128,5 @@ def test_rooms_that_are_not_convex_are_refused_by_name(name):
 def test_concave_polygons_are_refused_by_name():
     arrow = np.array([[2, 1, 0.5], [1, 0, 0.5], [2, -1, 0.5], [0, 0, 0.5]])
     floor, ceiling = (np.array([[-3, -3, z], [3, -3, z], [3, 3, z], [-3, 3, z]], dtype=float) for z in (0, 1))
-    with pytest.raises(NotConvexError, match="polygon 2.*concave"):
+    with pytest.raises(NotConvexError, match=r"polygon 2.*concave"):
         SilhouetteVisibility(core.Environment.from_polygons([floor, ceiling[::-1], arrow[::-1]]))

@@ -10,12 +10,14 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
 from .disk import disk_rows
 from .hemicube import hemicube_rows
 from .hemisphere import SampledRows, hemisphere_rows
 from .hybrid import hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
+from .point_to_point import VISIBILITIES, point_to_point_rows
 from .quadrature import quadrature_rows
 from .single_plane import single_plane_rows
 
@@ -44,12 +46,18 @@ def _hemisphere(environment, visibility, accuracy, seed, threads, **options):
     return hemisphere_rows(environment, accuracy, seed, threads, **options)
 
 
+def _point_to_polygon(environment, visibility, accuracy, seed, threads):
+    compute = clipped_rows if visibility == "bsp" else quadrature_rows
+    return compute(environment, visibility, accuracy, seed, threads)
+
+
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
     "hemisphere": Method(_hemisphere, ("embree",), ("sampling",)),
     "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",)),
     "single_plane": Method(single_plane_rows, ("zbuffer",), ("resolution", "lost")),
-    "point_to_polygon": Method(quadrature_rows, ("embree", "none")),
+    "point_to_polygon": Method(_point_to_polygon, ("embree", "none", "bsp")),
+    "point_to_point": Method(point_to_point_rows, VISIBILITIES, ("cells",)),
     "disk": Method(disk_rows, ("embree", "zbuffer", "brute_force", "none"), ("sampling", "samples")),
     "hybrid": Method(hybrid_rows, ("embree", "zbuffer"), ("detection",)),
     "contour_integral": Method(contour_rows, ("embree", "zbuffer", "brute_force", "none"), ("fast",)),

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from .clipped_quadrature import ClippedQuadrature
 from .contour_integral import contour_rows
 from .cropped import cropped_pair, cropped_point
 from .disk import disk_rows
@@ -35,6 +36,12 @@ POINT_METHODS = ("point_to_polygon", "hemicube")
 #: Methods whose rows serve a pair as they are, and without rays where there are no blockers.
 ROWS = {"contour_integral": contour_rows, "disk": disk_rows, "hybrid": hybrid_rows}
 
+#: What hides, by name, for point_to_polygon: rays, or exact clipping.
+VISIBILITIES = ("embree", "bsp")
+
+#: Blockers up to which ``auto`` clips: some tenths of a second, and no blocker is missed however small.
+CLIPPED_BLOCKERS = 32
+
 
 def form_factor(
     polygon_a: np.ndarray,
@@ -43,6 +50,7 @@ def form_factor(
     method: str = "auto",
     accuracy: float = 1e-3,
     seed: int = 0,
+    visibility: str = "auto",
 ) -> float:
     """Share of the power leaving the front of one polygon that reaches the front of another.
 
@@ -58,6 +66,9 @@ def form_factor(
         Error wanted, as an absolute number; a standard error where rays are cast. ``hemicube`` keeps it as a part of
         the factor.
     seed : int
+    visibility : str
+        ``embree`` for rays, ``bsp`` for exact clipping (point_to_polygon only), or ``auto``, which clips where blockers
+        are few.
 
     Returns
     -------
@@ -71,7 +82,9 @@ def form_factor(
         If a polygon is malformed; the two polygons count as 0 and 1, blockers from 2.
     """
     check_accuracy(accuracy)
-    chosen = _choose(method, PAIR_METHODS)
+    # Without blockers the contour integral is exact; with a few, clipping is.
+    chosen = "contour_integral" if method == "auto" and not len(blockers) else _choose(method, PAIR_METHODS)
+    clipped = _clips(visibility, chosen, len(blockers))
     environment = Environment.from_polygons([polygon_a, polygon_b, *blockers])
     areas = environment.areas
     if areas[0] <= 0 or areas[1] <= 0:
@@ -90,6 +103,9 @@ def form_factor(
     scale = areas[receiver] / areas[0]
     if chosen == "hemicube":
         factor, _ = cropped_pair(environment, receiver, source, accuracy, seed)
+    elif clipped and len(environment) > 2:
+        factors, _ = ClippedQuadrature(environment).pairs([receiver], [source], np.array([accuracy / scale]))
+        factor = factors[0]
     elif len(environment) > 2:
         factor, _, _ = sampled_pair(environment, receiver, source, accuracy / scale, seed)
     else:
@@ -105,6 +121,7 @@ def configuration_factor(
     method: str = "auto",
     accuracy: float = 1e-3,
     seed: int = 0,
+    visibility: str = "auto",
 ) -> float:
     """Share of the power leaving a differential area that reaches the front of a polygon.
 
@@ -119,9 +136,11 @@ def configuration_factor(
     method : str
         ``auto`` or one of `POINT_METHODS`.
     accuracy : float
-        Standard error wanted, as an absolute number, where there are blockers; exact without. ``hemicube`` keeps it as
-        a part of the factor, with blockers or without.
+        Standard error wanted, as an absolute number, where there are blockers; exact without, and with ``bsp``.
+        ``hemicube`` keeps it as a part of the factor, with blockers or without.
     seed : int
+    visibility : str
+        ``embree`` for rays, ``bsp`` for exact clipping, or ``auto``, which clips where blockers are few.
 
     Returns
     -------
@@ -136,6 +155,7 @@ def configuration_factor(
     """
     check_accuracy(accuracy)
     chosen = _choose(method, POINT_METHODS)
+    clipped = _clips(visibility, chosen, len(blockers))
     point, normal = (np.asarray(v, dtype=np.float64) for v in (point, normal))
     if point.shape != (3,) or normal.shape != (3,) or not np.isfinite([*point, *normal]).all() or not normal.any():
         raise SettingsError("Point and normal must be three finite numbers each, and the normal not zero")
@@ -144,6 +164,8 @@ def configuration_factor(
     environment = Environment.from_polygons([polygon, *blockers])
     if chosen == "hemicube":
         return cropped_point(environment, point, normal, 0, accuracy, seed)[0]
+    if clipped and len(environment) > 1:
+        return ClippedQuadrature(environment).point(point, normal, 0)
     if len(environment) > 1:
         return sampled_point(environment, point, normal, 0, accuracy, seed)[0]
     return float(point_to_polygon(point[None], normal[None], environment.polygons[0])[0])
@@ -154,3 +176,13 @@ def _choose(method: str, known: tuple[str, ...]) -> str:
     if chosen not in known:
         raise SettingsError(f"Unknown form-factor method {method!r}: choose auto, {', '.join(known)}")
     return chosen
+
+
+def _clips(visibility: str, method: str, blockers: int) -> bool:
+    """Whether a visibility means exact clipping: ``auto`` does where that is quick."""
+    if visibility not in ("auto", *VISIBILITIES):
+        raise SettingsError(f"Unknown visibility {visibility!r}: choose auto, {', '.join(VISIBILITIES)}")
+    if visibility == "bsp" and method != "point_to_polygon":
+        raise SettingsError(f"Visibility 'bsp' does not exist for {method}: choose auto, embree")
+    few = visibility == "auto" and method == "point_to_polygon" and 0 < blockers <= CLIPPED_BLOCKERS
+    return visibility == "bsp" or few

@@ -1,0 +1,92 @@
+"""Form factors with occlusion by exact clipping, against published values to their last digits."""
+
+import numpy as np
+import pytest
+from radiosity import core
+from radiosity.core.errors import SettingsError
+from radiosity.core.form_factors import clipped_quadrature
+
+from tests.reference_cases import allowed, form_factor_cases, ids, in_order, surface_matrix
+
+CASES = form_factor_cases()
+OBSTRUCTED = ids(CASES, "obstructed")
+ENCLOSURES = ("enc-facet-8", "enc-L-room", "enc-two-sealed-cubes")
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+UP = np.array([0.0, 0, 1])
+ABOVE = SQUARE[::-1] + UP
+
+
+def pair_values(case, **choices):
+    surfaces = {surface["name"]: surface["polygons"] for surface in case["surfaces"]}
+    for expected in case["expected"]:
+        ends = (expected["from"], expected["to"])
+        blockers = [polygon for name, polygons in surfaces.items() if name not in ends for polygon in polygons]
+        yield core.form_factor(*(surfaces[end][0] for end in ends), blockers, **choices), expected["F"]
+
+
+@pytest.mark.parametrize("name", OBSTRUCTED)
+def test_obstructed_pair_at_the_exact_level(name):
+    # obs-grazing-none asks for 2e-8, all others for 2e-6 or zero.
+    accuracy = 1e-8 if name == "obs-grazing-none" else 1e-6
+    for value, expected in pair_values(CASES[name], visibility="bsp", accuracy=accuracy):
+        assert abs(value - expected) <= allowed(CASES[name], "exact", expected)
+
+
+@pytest.mark.parametrize("name", ENCLOSURES)
+def test_enclosure_at_the_exact_level(name):
+    case = CASES[name]
+    order, expected = case["matrix"]["order"], np.array(case["matrix"]["F"])
+    choices = {"method": "point_to_polygon", "visibility": "bsp"}
+    sealed = name == "enc-two-sealed-cubes"
+    matrix, _, result = surface_matrix(case, accuracy=1e-8 if sealed else 1e-6, **choices)
+    assert (np.abs(in_order(case, matrix, order) - expected) <= allowed(case, "exact", expected)).all()
+    assert result.closed and not in_order(case, matrix, order)[expected == 0].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["enc-box345-1cube", "enc-cornell"])
+def test_large_enclosure_at_the_fine_level(name):
+    case = CASES[name]
+    order, expected = case["matrix"]["order"], np.array(case["matrix"]["F"])
+    matrix, _, _ = surface_matrix(case, method="point_to_polygon", visibility="bsp", accuracy=1e-4)
+    error = np.abs(in_order(case, matrix, order) - expected)
+    assert (error <= allowed(case, "fine", expected)).all() and error.max() <= 1e-4
+
+
+def test_half_of_a_light_behind_a_wall_is_half_of_its_factor():
+    wall = np.array([[0.5, -5, 0.001], [5, -5, 0.001], [5, 5, 0.001], [0.5, 5, 0.001]])
+    free = core.configuration_factor([0.5, 0.5, 0], [0, 0, 1], ABOVE)
+    half = core.configuration_factor([0.5, 0.5, 0], [0, 0, 1], ABOVE, blockers=[wall], visibility="bsp")
+    assert half == pytest.approx(free / 2, rel=1e-12)
+
+
+@pytest.mark.parametrize("scale, shift", [(1e-5, 0), (1e5, 0), (1, 1e4)])
+def test_scale_and_place_do_not_matter(scale, shift):
+    plate = np.array([[0.1, 0.2, 0.4], [0.7, 0.1, 0.6], [0.6, 0.9, 0.5]])
+    here = core.form_factor(SQUARE, ABOVE, [plate], visibility="bsp", accuracy=1e-5)
+    there = (polygon * scale + shift for polygon in (SQUARE, ABOVE, plate))
+    a, b, blocker = there
+    # Coordinates that far away are rounded to 2e-12 of the size.
+    assert core.form_factor(a, b, [blocker], visibility="bsp", accuracy=1e-5) == pytest.approx(here, abs=1e-5)
+
+
+def test_a_two_sided_patch_gives_half_to_either_side():
+    environment = core.Environment.from_polygons([SQUARE, ABOVE], two_sided=[True, False])
+    one_sided = core.form_factor(SQUARE, ABOVE, accuracy=1e-6)
+    rows = clipped_quadrature.clipped_rows(environment, "bsp", 1e-6)
+    assert rows.matrix[0, 1] == pytest.approx(one_sided / 2, abs=1e-6)
+    assert rows.matrix[1, 0] == pytest.approx(one_sided, abs=1e-6)
+
+
+def test_stated_error_holds_and_falls_with_the_accuracy():
+    case = CASES["obs-tilted-quad"]
+    for accuracy in (1e-3, 1e-4, 1e-5):
+        for value, expected in pair_values(case, visibility="bsp", accuracy=accuracy):
+            assert abs(value - expected) <= accuracy
+
+
+def test_clipping_is_refused_where_it_does_not_exist():
+    with pytest.raises(SettingsError, match="does not exist for hemisphere"):
+        core.form_factor(SQUARE, ABOVE, method="hemisphere", visibility="bsp")
+    with pytest.raises(SettingsError, match="Unknown visibility"):
+        core.form_factor(SQUARE, ABOVE, visibility="guess")

@@ -55,7 +55,7 @@ def plan_for(accuracy: float) -> BakePlan:
             levels=3,
             tolerance=0.08 * effort**-0.4,
             detail=0.5 * accuracy,
-            near=NearHitsSettings(samples=6, rays=_rays(48 * effort**0.5, 32, 96), noise=0.5 * accuracy),
+            near=NearHitsSettings(samples=6, rays=_rays(48 * effort**0.5, 32, 96), noise=2 * accuracy),
         ),
     )
 

@@ -41,7 +41,7 @@ MOST = 0.5
 
 #: How many of those before and after a receiver along a curve through all that have met something bright are asked
 #: too, and how far away they may be, in unit lengths.
-ALONG, NEARBY = 16, 0.1
+ALONG, NEARBY = 8, 0.1
 
 #: Receivers handled at a time.
 BLOCK = 2048

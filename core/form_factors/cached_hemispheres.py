@@ -170,6 +170,13 @@ class HitTable:
             out[self.sky_start : self.sky_start + self.sky_cells, :3] = np.pi * self.sky.radiance.reshape(-1, 3)
         return out
 
+    def is_outside(self) -> np.ndarray:
+        """(rows,) bool: the sky, and what rays lead to that leave a scene without one."""
+        outside = np.zeros(self.rows, bool)
+        outside[self.sky_start : self.sky_start + self.sky_cells] = True
+        outside[self.outside_row] = True
+        return outside
+
     def look_up(self, hits: dict, directions: np.ndarray) -> np.ndarray:
         """Row (n,) int32 that each ray leads to."""
         triangles = hits["primID"]

@@ -35,8 +35,7 @@ def check_patches(solution: PatchSolution) -> PatchChecks:
     areas = np.concatenate([solution.patches.areas, solution.patches.areas])
     sky = np.zeros(table.rows, bool)
     sky[table.sky_start : table.sky_start + table.sky_cells] = True
-    outside = sky.copy()
-    outside[table.outside_row] = True
+    outside = table.is_outside()
     values = solution.table()[:, :3] @ LUMINANCE
     groups = _groups(solution)
     total = int(groups.max()) + 1

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .automatic import automatic_rows
 from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
 from .disk import disk_rows
@@ -76,7 +77,7 @@ METHODS: dict[str, Method] = {
     "contour_integral": Method(contour_rows, (*SEGMENTS, "none"), ("fast",)),
 }
 
-#: What ``auto`` takes.
+#: What ``auto`` takes where a visibility or an option is named, which leaves no choice for each pair.
 DEFAULT_METHOD = "hemisphere"
 
 
@@ -95,13 +96,13 @@ class FormFactors:
     seconds : float
     rays : int
     method_counts : dict of str to int
-        Rows computed by each method.
+        Rows computed by each method; under ``auto`` pairs, but rows for the hemisphere.
     closure_error : float
         Largest ``|row sum + escaped - 1|`` of `matrix`.
     reciprocity_error : float
         Largest ``|A_i F_ij - A_j F_ji|`` of `matrix` over the smaller area.
     estimated_error : float
-        Standard error of the worst factor as computed, before the repair, which lowers it.
+        Error of the worst factor as computed, before the repair, which lowers it: standard error where sampled.
     raw_closure_error, raw_reciprocity_error : float
         The same two before the repair: how far the method alone was off.
     """
@@ -164,12 +165,12 @@ def form_factors(
     ----------
     environment : Environment
     method : str
-        ``auto`` or one of `METHODS`.
+        ``auto``, which chooses for each pair (`automatic`), or one of `METHODS`.
     visibility : str
         ``auto``, or one of the method's own: ``embree`` for rays, ``zbuffer`` for projections, ``bsp`` or
         ``silhouettes`` for exact tests, ``brute_force``; ``none`` where nothing can occlude.
     accuracy : float
-        Standard error wanted for the worst factor, as an absolute number.
+        Error wanted for the worst factor, as an absolute number; a standard error where rays are cast.
     seed : int
         Same input and seed give the same matrix.
     threads : int
@@ -192,6 +193,7 @@ def form_factors(
     """
     begin = time.perf_counter()
     check_accuracy(accuracy)
+    chooses = method == "auto" and visibility == "auto" and not options
     name, chosen, visibility = find_method(method, visibility, options)
     count = len(environment)
     if count * count > LARGEST_MATRIX:
@@ -199,7 +201,10 @@ def form_factors(
             f"{count} patches need a matrix of {count * count * 8 / 2**30:.1f} GiB, more than "
             f"{LARGEST_MATRIX * 8 / 2**30:.0f}: use fewer than {int(LARGEST_MATRIX**0.5)} patches"
         )
-    rows = chosen.compute(environment, visibility, accuracy, seed, threads, **options)
+    if chooses:
+        rows, counts = automatic_rows(environment, accuracy, seed, threads)
+    else:
+        rows, counts = chosen.compute(environment, visibility, accuracy, seed, threads, **options), {name: count}
     areas = environment.areas
     tight = rows.escaped <= CLOSED_SHARE * accuracy + rows.leaks
     closed = bool((areas > 0).any() and tight[areas > 0].all())
@@ -211,7 +216,7 @@ def form_factors(
         closed=closed,
         seconds=time.perf_counter() - begin,
         rays=int(rows.rays),
-        method_counts={name: count},
+        method_counts=counts,
         closure_error=closure_error(matrix, escaped, areas),
         reciprocity_error=reciprocity_error(matrix, areas),
         estimated_error=float(rows.errors.max(initial=0)),

@@ -26,6 +26,11 @@ from .hemisphere import SampledRows, hemisphere_rows
 #: three times as much.
 FAST_ACCURACY = 1e-5
 
+#: Share of the accuracy that it is asked for then. Errors of one sign add up over a row: with all of the accuracy, rows
+#: of a convex room of 1,014 patches were off by 3 times the accuracy; with this, by 0.005 of it, for 1.2 s in place of
+#: 0.4 s.
+FAST_SHARE = 0.01
+
 #: Patches beyond which pairs are not looked at one by one.
 MOST_PATCHES = 4096
 
@@ -62,7 +67,7 @@ def automatic_rows(
     count = len(environment)
     if count > MOST_PATCHES:
         return hemisphere_rows(environment, accuracy, seed, threads), {"hemisphere": count}
-    free = contour_rows(environment, "none", accuracy, fast=accuracy >= FAST_ACCURACY)
+    free = contour_rows(environment, "none", FAST_SHARE * accuracy, fast=accuracy >= FAST_ACCURACY)
     blocked = _blockable_patches(environment) & (free.matrix > 0)
     pairs = int(blocked.sum()) // 2
     counts = {"contour_integral": count * (count - 1) // 2 - pairs}

@@ -42,8 +42,8 @@ def test_a_convex_room_traces_no_ray_and_closes(name, accuracy):
     error, result = deviation(name, accuracy)
     assert result.rays == 0 and set(result.method_counts) == {"contour_integral"}
     assert result.closed and np.abs(result.matrix.sum(axis=1) - 1).max() <= 1e-12
-    # Far below what is asked for: the fast tier may take a tenth.
-    assert error <= max(0.1 * accuracy, 1e-9) and result.estimated_error <= accuracy
+    # Far below what is asked for; the reference has 9 digits and more.
+    assert error <= max(0.01 * accuracy, 1e-9) and result.estimated_error <= accuracy
 
 
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
@@ -51,8 +51,8 @@ def test_a_divided_convex_room_traces_no_ray_and_closes(accuracy):
     result = core.form_factors(core.Environment.from_polygons(divided_box(5)), accuracy=accuracy)
     assert result.rays == 0 and result.method_counts == {"contour_integral": 150 * 149 // 2}
     assert result.closed and result.closure_error <= 1e-12
-    # Before the repair rows add up to within what was asked for, too.
-    assert result.raw_closure_error <= accuracy
+    # Before the repair, too, a row is off by little of what is asked for a single factor.
+    assert result.raw_closure_error <= 0.1 * accuracy
 
 
 @pytest.mark.parametrize("name", BLOCKED)

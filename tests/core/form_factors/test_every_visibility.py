@@ -47,6 +47,30 @@ def test_two_plates_with_a_blocker_or_a_reason(method, visibility):
     assert (result.matrix >= 0).all() and (result.matrix <= 1).all() and np.isfinite(result.matrix).all()
 
 
+@pytest.mark.parametrize("visibility", ["embree", "bsp", "silhouettes", "brute_force"])
+@pytest.mark.parametrize("method", ["contour_integral", "disk", "hybrid"])
+def test_a_single_pair_takes_the_same(method, visibility):
+    surfaces = {surface["name"]: surface["polygons"][0] for surface in CASE["surfaces"]}
+    expected = CASE["expected"][0]
+    ends = expected["from"], expected["to"]
+    blockers = [polygon for name, polygon in surfaces.items() if name not in ends]
+    value = core.form_factor(
+        *(surfaces[end] for end in ends), blockers, method=method, visibility=visibility, accuracy=DEFAULT_ACCURACY
+    )
+    assert value == pytest.approx(expected["F"], abs=DEFAULT_ACCURACY)
+
+
+def test_a_single_pair_is_refused_with_the_reason():
+    plates = [surface["polygons"][0] for surface in CASE["surfaces"]]
+    for method, visibility, reason in (
+        ("hemicube", "embree", "item buffer"),
+        ("hybrid", "none", "contour_integral is the same"),
+        ("point_to_polygon", "zbuffer", "casts rays or clips"),
+    ):
+        with pytest.raises(SettingsError, match=f"does not exist for {method}.*{reason}"):
+            core.form_factor(*plates[:2], plates[2:], method=method, visibility=visibility)
+
+
 def test_a_visibility_that_nobody_knows_is_refused_by_all():
     for method in METHODS:
         with pytest.raises(SettingsError, match=r"Visibility 'magic' does not exist for .*: choose auto"):

@@ -76,9 +76,12 @@ def automatic_rows(
     if _clipping_pays(pairs, count, accuracy):
         return _clipped(environment, free, blocked, accuracy), {**counts, "point_to_polygon": pairs}
     cast = hemisphere_rows(environment, accuracy, seed, threads)
+    matrix = np.where(blocked, cast.matrix, free.matrix)
+    # That nothing escapes is known best from the rays; how much does, from the better factors.
+    open_ = cast.escaped > accuracy + cast.leaks
     mixed = SampledRows(
-        np.where(blocked, cast.matrix, free.matrix),
-        cast.escaped,
+        matrix,
+        np.where(open_, np.maximum(1 - matrix.sum(axis=1), 0), cast.escaped),
         np.maximum(np.where(blocked.any(axis=1), cast.errors, 0), free.errors),
         cast.samples,
         cast.rays,

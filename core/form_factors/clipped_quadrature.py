@@ -219,9 +219,11 @@ class ClippedQuadrature:
             rows = slice(start, start + block)
             points = np.einsum("qb,cbi->cqi", rule, cells[rows]).reshape(-1, 3)
             repeated = [np.repeat(a[rows], len(rule), axis=0) for a in (normals, sources, blockers)]
-            seen = self._factors(points, *repeated).reshape(-1, len(rule))
-            repeated[2] = repeated[2][:, :0]
-            whole = self._factors(points, *repeated).reshape(-1, len(rule))
+            seen = self._factors(points, *repeated)
+            whole, (facing, looked_at, between) = seen.copy(), repeated
+            shaded = np.flatnonzero((between >= 0).any(axis=1))
+            whole[shaded] = self._factors(points[shaded], facing[shaded], looked_at[shaded], between[shaded, :0])
+            seen, whole = seen.reshape(-1, len(rule)), whole.reshape(-1, len(rule))
             means[rows], most[rows] = seen @ weights, whole @ weights
             hidden, lit = (seen == 0).all(axis=1), (seen >= whole * (1 - SAME)).all(axis=1)
             alike[rows] = np.where(lit, LIT, np.where(hidden, HIDDEN, MIXED))

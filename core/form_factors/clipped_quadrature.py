@@ -8,6 +8,10 @@ noise: errors of 1e-6 take as little as a second on a pair, where rays would nee
 Choose it (``visibility="bsp"``) for pairs, points and small environments; a point's result is exact to rounding. For n
 patches it costs n^2 integrals, each proportional to the blockers between: some 10 ms a pair at an accuracy of 1e-4.
 
+Where all points of a cell see alike, all or nothing, a division changes nothing, and an agreement of 0 with 0 proves
+nothing either. So the part of a receiver behind the source's plane is cut off first, planes of blockers are cut along
+before any change counts, and places near a cell's corners must see what its points see.
+
 Limits: shadows of a blocker much smaller than the accuracy's share of the receiver may fall between sample points.
 """
 
@@ -19,7 +23,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..visibility.bsp import TOLERANCE, BspTree
-from ..visibility.convex_loops import pad, split
+from ..visibility.convex_loops import join, pad, split
 from ..visibility.shafts import shaft_candidates
 from ..visibility.visible_fragments import FragmentClipper, fragment_factors
 from .critical_lines import ON_LINE, CriticalLines, critical_lines
@@ -56,6 +60,13 @@ RULE_POINTS = np.array(
     + [[1 - 2 * a if place == corner else a for place in range(3)] for a in (_A, _B) for corner in range(3)]
 )
 RULE_WEIGHTS = np.array([9 / 40] + [(155 - 15**0.5) / 1200] * 3 + [(155 + 15**0.5) / 1200] * 3)
+
+#: Places near the corners of a cell, where a border that misses all points of the rule crosses it.
+PROBES = np.full((3, 3), 0.01) + 0.97 * np.eye(3)
+
+#: Whether the points of a cell see some of the source's parts, nothing, or all; and the difference that counts as none.
+MIXED, HIDDEN, LIT = 0, 1, 2
+SAME = 1e-9
 
 logger = logging.getLogger(__name__)
 
@@ -130,28 +141,35 @@ class ClippedQuadrature:
         task = np.repeat(np.arange(len(receivers)), counts[receivers])
         rows = _ranges(starts[receivers], counts[receivers])
         cells = triangles[rows]
-        areas = np.linalg.norm(np.cross(cells[:, 1] - cells[:, 0], cells[:, 2] - cells[:, 0]), axis=1)
-        shares = areas / np.bincount(task, areas, len(receivers))[task]
+        totals = np.bincount(task, _areas(cells), len(receivers))
+        cells, task = self._lit(cells, task, sources)
+        shares = _areas(cells) / totals[task]
         everything = np.broadcast_to(np.arange(len(tree.nodes)), (len(receivers), len(tree.nodes)))
         between = shaft_candidates(tree, self.hulls[receivers], self.hulls[sources], everything)
         normals = side * environment.normals[receivers]
         blockers = shaft_candidates(tree, cells, self.hulls[sources[task]], between[task])
-        values = self._cell_means(cells, normals[task], sources[task], blockers) * shares
+        values = self._cell_means(cells, normals[task], sources[task], blockers)[0] * shares
         offsets = np.einsum("pi,pi->p", normals, self.hulls[receivers, 0])
         lines = critical_lines((normals, offsets), self.hulls[sources], tree.pieces.loops[between], between >= 0)
         factors, errors, budgets = np.zeros(len(receivers)), np.zeros(len(receivers)), tolerances / SAFETY
         spent = np.zeros(len(receivers))
         while len(cells):
             spent += np.bincount(task, minlength=len(receivers))
-            children, parents, parts = _divide(cells, task, lines)
+            children, parents, parts, strongly = _divide(cells, task, lines)
             inherited = shaft_candidates(tree, children, self.hulls[sources[task[parents]]], blockers[parents])
-            finer = self._cell_means(children, normals[task[parents]], sources[task[parents]], inherited)
+            limits = tolerances[task[parents]]
+            views = normals[task[parents]], sources[task[parents]], inherited
+            finer, most, alike = self._cell_means(children, *views)
             finer *= parts * shares[parents]
+            most *= parts * shares[parents]
             sums = np.bincount(parents, finer, len(cells))
             changes = np.abs(sums - values)
             coarse = np.zeros(len(cells), dtype=bool)
-            unknown = self._coarse(children, inherited, finer, shares[parents] * parts, tolerances[task[parents]])
-            unknown |= parts > LARGEST_PART
+            unknown = self._coarse(children, inherited, most, shares[parents] * parts, limits)
+            unknown |= (parts > LARGEST_PART) | (strongly[parents] & (most > limits))
+            suspects = np.flatnonzero(~unknown & (alike != MIXED) & (inherited >= 0).any(axis=1) & (most > limits))
+            views = [array[suspects] for array in views]
+            unknown[suspects] = self._cell_means(children[suspects], *views, PROBES)[2] != alike[suspects]
             np.logical_or.at(coarse, parents, unknown)
             done = _affordable(task, np.where(coarse, np.inf, changes), budgets / 2) | (spent > MOST_CELLS)[task]
             factors += np.bincount(task[done], sums[done], len(receivers))
@@ -162,27 +180,54 @@ class ClippedQuadrature:
             shares, task = (parts * shares[parents])[rest], task[parents[rest]]
         return factors, errors * SAFETY
 
-    def _coarse(self, cells, blockers, values, shares, tolerances):
-        """(c,) bool: cells whose points may have missed a blocker that matters."""
+    def _lit(self, cells, task, sources):
+        """Parts of the cells from which a side of their source that radiates is seen, and their tasks.
+
+        Without this cut a tip that alone sees the source could lie between all points, and 0 agree with 0.
+        """
+        environment = self.environment
+        normals = environment.normals[sources]
+        offsets = np.einsum("pi,pi->p", normals, self.hulls[sources, 0])
+        heights = np.einsum("cki,ci->ck", cells, normals[task]) - offsets[task][:, None]
+        front, front_rows, back, back_rows = split(cells, heights, TOLERANCE)
+        both = environment.two_sided[sources[task[back_rows]]]
+        loops, rows = join([front, back[both]]), np.concatenate((front_rows, back_rows[both]))
+        triangles, parents = _fans(loops)
+        return triangles, task[rows[parents]]
+
+    def _coarse(self, cells, blockers, most, shares, tolerances):
+        """(c,) bool: cells whose points may have missed a blocker, or a way past it, that matters.
+
+        `most` is what the cells would contribute without blockers.
+        """
         if not blockers.shape[1]:
             return np.zeros(len(cells), dtype=bool)
         smallest = np.where(blockers >= 0, self.extents[blockers], np.inf).min(axis=1)
         long = np.ptp(cells, axis=1).max(axis=1) > CELL_TO_BLOCKER * smallest
         shaded = (blockers >= 0).any(axis=1)
-        return (long & (values > tolerances)) | (
-            shaded & (shares > LARGEST_SHADED) & (values > tolerances * NEGLIGIBLE)
-        )
+        return (long & (most > tolerances)) | (shaded & (shares > LARGEST_SHADED) & (most > tolerances * NEGLIGIBLE))
 
-    def _cell_means(self, cells, normals, sources, blockers):
-        """Mean factors (c,) over triangles (c, 3, 3) to their sources."""
-        means = np.empty(len(cells))
-        block = max(1, BLOCK_VIEWS // len(RULE_WEIGHTS))
+    def _cell_means(self, cells, normals, sources, blockers, rule=RULE_POINTS):
+        """Mean factors (c,) over triangles (c, 3, 3) to their sources, the same without blockers, and what is alike.
+
+        The last says whether all points of the rule see all that is before them, or nothing, or neither.
+        """
+        means, most, alike = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells), dtype=np.int8)
+        weights = RULE_WEIGHTS if rule is RULE_POINTS else np.full(len(rule), 1 / len(rule))
+        block = max(1, BLOCK_VIEWS // len(rule))
         for start in range(0, len(cells), block):
             rows = slice(start, start + block)
-            points = np.einsum("qb,cbi->cqi", RULE_POINTS, cells[rows]).reshape(-1, 3)
-            repeated = [np.repeat(a[rows], len(RULE_WEIGHTS), axis=0) for a in (normals, sources, blockers)]
-            means[rows] = self._factors(points, *repeated).reshape(-1, len(RULE_WEIGHTS)) @ RULE_WEIGHTS
-        return means
+            points = np.einsum("qb,cbi->cqi", rule, cells[rows]).reshape(-1, 3)
+            repeated = [np.repeat(a[rows], len(rule), axis=0) for a in (normals, sources, blockers)]
+            seen = self._factors(points, *repeated)
+            whole, (facing, looked_at, between) = seen.copy(), repeated
+            shaded = np.flatnonzero((between >= 0).any(axis=1))
+            whole[shaded] = self._factors(points[shaded], facing[shaded], looked_at[shaded], between[shaded, :0])
+            seen, whole = seen.reshape(-1, len(rule)), whole.reshape(-1, len(rule))
+            means[rows], most[rows] = seen @ weights, whole @ weights
+            hidden, lit = (seen == 0).all(axis=1), (seen >= whole * (1 - SAME)).all(axis=1)
+            alike[rows] = np.where(lit, LIT, np.where(hidden, HIDDEN, MIXED))
+        return means, most, alike
 
     def _factors(self, points, normals, sources, blockers):
         """Exact factors (v,) from points of the unit frame to one source each."""
@@ -253,15 +298,27 @@ def _divide(cells: np.ndarray, pairs: np.ndarray, lines: CriticalLines):
     children, parents = [_quarter(cells[whole])], [np.repeat(whole, 4)]
     above, above_rows, below, below_rows = split(cells[crossed], heights[crossed], ON_LINE)
     for loops, rows in ((above, above_rows), (below, below_rows)):
-        # Three or four corners: a fan of one or two triangles.
-        for corner in range(1, loops.shape[1] - 1):
-            children.append(loops[:, [0, corner, corner + 1]])
-            parents.append(crossed[rows])
+        triangles, places = _fans(loops)
+        children.append(triangles)
+        parents.append(crossed[rows[places]])
     children, parents = np.concatenate(children), np.concatenate(parents)
-    areas = np.linalg.norm(np.cross(children[:, 1] - children[:, 0], children[:, 2] - children[:, 0]), axis=1)
-    real = areas > 0
-    children, parents, areas = children[real], parents[real], areas[real]
-    return children, parents, areas / np.bincount(parents, areas, len(cells))[parents]
+    areas = _areas(children)
+    strongly = np.zeros(len(cells), dtype=bool)
+    strongly[crossed] = lines.strong[pairs[crossed], best[crossed]]
+    return children, parents, areas / np.bincount(parents, areas, len(cells))[parents], strongly
+
+
+def _fans(loops):
+    """Triangles with an area that fill convex loops, and the loop of each."""
+    fans = [loops[:, [0, corner, corner + 1]] for corner in range(1, loops.shape[1] - 1)]
+    triangles, owners = np.concatenate(fans), np.tile(np.arange(len(loops)), len(fans))
+    real = _areas(triangles) > 0
+    return triangles[real], owners[real]
+
+
+def _areas(triangles):
+    """Areas (t,), doubled."""
+    return np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
 
 
 def _quarter(cells):

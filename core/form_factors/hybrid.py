@@ -83,7 +83,7 @@ def hybrid_rows(
     environment : Environment
         Its emission tells which sources are bright.
     visibility : str
-        ``zbuffer`` or ``embree``; that of `detection`, where it is given.
+        Any that tests segments; that of `detection`, where it is given.
     accuracy : float
         Error wanted.
     seed, threads : int

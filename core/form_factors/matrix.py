@@ -10,6 +10,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .automatic import automatic_rows
 from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
 from .disk import disk_rows
@@ -17,7 +18,7 @@ from .hemicube import hemicube_rows
 from .hemisphere import SampledRows, hemisphere_rows
 from .hybrid import hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
-from .point_to_point import VISIBILITIES, point_to_point_rows
+from .point_to_point import point_to_point_rows
 from .quadrature import quadrature_rows
 from .single_plane import single_plane_rows
 
@@ -34,12 +35,14 @@ class Method:
     """A way to fill a matrix.
 
     ``compute(environment, visibility, accuracy, seed, threads, **options)`` returns `SampledRows`; `visibilities` are
-    the names it accepts, the first being what ``auto`` takes; `options` are the names of its own options.
+    the names it accepts, the first being what ``auto`` takes; `options` are the names of its own options; `refusal`
+    says why it accepts no other visibility.
     """
 
     compute: Callable[..., SampledRows]
     visibilities: tuple[str, ...]
     options: tuple[str, ...] = ()
+    refusal: str = "there is none of that name"
 
 
 def _hemisphere(environment, visibility, accuracy, seed, threads, **options):
@@ -51,19 +54,30 @@ def _point_to_polygon(environment, visibility, accuracy, seed, threads):
     return compute(environment, visibility, accuracy, seed, threads)
 
 
+#: Visibilities that tell whether two points see each other, which any kernel of points takes. Point to polygon clips
+#: exactly where the visibility is ``bsp``, instead of testing segments.
+SEGMENTS = ("embree", "zbuffer", "bsp", "silhouettes", "brute_force")
+
+#: Why methods refuse a visibility.
+FIRST_HIT = "it counts what each of its rays meets first, which only embree tells"
+ITEM_BUFFER = "what its pixels show is an item buffer, which only the z-buffer is"
+BOTH_KINDS = "it parts what is visible from what is hidden; where nothing hides, contour_integral is the same"
+
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
-    "hemisphere": Method(_hemisphere, ("embree",), ("sampling",)),
-    "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",)),
-    "single_plane": Method(single_plane_rows, ("zbuffer",), ("resolution", "lost")),
-    "point_to_polygon": Method(_point_to_polygon, ("embree", "none", "bsp")),
-    "point_to_point": Method(point_to_point_rows, VISIBILITIES, ("cells",)),
-    "disk": Method(disk_rows, ("embree", "zbuffer", "brute_force", "none"), ("sampling", "samples")),
-    "hybrid": Method(hybrid_rows, ("embree", "zbuffer"), ("detection",)),
-    "contour_integral": Method(contour_rows, ("embree", "zbuffer", "brute_force", "none"), ("fast",)),
+    "hemisphere": Method(_hemisphere, ("embree",), ("sampling",), FIRST_HIT),
+    "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",), ITEM_BUFFER),
+    "single_plane": Method(single_plane_rows, ("zbuffer",), ("resolution", "lost"), ITEM_BUFFER),
+    "point_to_polygon": Method(_point_to_polygon, (*SEGMENTS, "none")),
+    "point_to_point": Method(
+        point_to_point_rows, ("silhouettes", *(name for name in SEGMENTS if name != "silhouettes"), "none"), ("cells",)
+    ),
+    "disk": Method(disk_rows, (*SEGMENTS, "none"), ("sampling", "samples")),
+    "hybrid": Method(hybrid_rows, SEGMENTS, ("detection",), BOTH_KINDS),
+    "contour_integral": Method(contour_rows, (*SEGMENTS, "none"), ("fast",)),
 }
 
-#: What ``auto`` takes.
+#: What ``auto`` takes where a visibility or an option is named, which leaves no choice for each pair.
 DEFAULT_METHOD = "hemisphere"
 
 
@@ -82,13 +96,13 @@ class FormFactors:
     seconds : float
     rays : int
     method_counts : dict of str to int
-        Rows computed by each method.
+        Rows computed by each method; under ``auto`` pairs, but rows for the hemisphere.
     closure_error : float
         Largest ``|row sum + escaped - 1|`` of `matrix`.
     reciprocity_error : float
         Largest ``|A_i F_ij - A_j F_ji|`` of `matrix` over the smaller area.
     estimated_error : float
-        Standard error of the worst factor as computed, before the repair, which lowers it.
+        Error of the worst factor as computed, before the repair, which lowers it: standard error where sampled.
     raw_closure_error, raw_reciprocity_error : float
         The same two before the repair: how far the method alone was off.
     """
@@ -120,7 +134,8 @@ def find_method(name: str, visibility: str, options: dict) -> tuple[str, Method,
     method = METHODS[chosen]
     if visibility != "auto" and visibility not in method.visibilities:
         raise SettingsError(
-            f"Visibility {visibility!r} does not exist for {chosen}: choose auto, {', '.join(method.visibilities)}"
+            f"Visibility {visibility!r} does not exist for {chosen}, as {method.refusal}: "
+            f"choose auto, {', '.join(method.visibilities)}"
         )
     for option in options:
         if option not in method.options:
@@ -150,12 +165,12 @@ def form_factors(
     ----------
     environment : Environment
     method : str
-        ``auto`` or one of `METHODS`.
+        ``auto``, which chooses for each pair (`automatic`), or one of `METHODS`.
     visibility : str
-        ``auto``, ``embree`` for rays, ``zbuffer`` for projections, or, for point_to_polygon where nothing can occlude,
-        ``none``.
+        ``auto``, or one of the method's own: ``embree`` for rays, ``zbuffer`` for projections, ``bsp`` or
+        ``silhouettes`` for exact tests, ``brute_force``; ``none`` where nothing can occlude.
     accuracy : float
-        Standard error wanted for the worst factor, as an absolute number.
+        Error wanted for the worst factor, as an absolute number; a standard error where rays are cast.
     seed : int
         Same input and seed give the same matrix.
     threads : int
@@ -178,6 +193,7 @@ def form_factors(
     """
     begin = time.perf_counter()
     check_accuracy(accuracy)
+    chooses = method == "auto" and visibility == "auto" and not options
     name, chosen, visibility = find_method(method, visibility, options)
     count = len(environment)
     if count * count > LARGEST_MATRIX:
@@ -185,7 +201,10 @@ def form_factors(
             f"{count} patches need a matrix of {count * count * 8 / 2**30:.1f} GiB, more than "
             f"{LARGEST_MATRIX * 8 / 2**30:.0f}: use fewer than {int(LARGEST_MATRIX**0.5)} patches"
         )
-    rows = chosen.compute(environment, visibility, accuracy, seed, threads, **options)
+    if chooses:
+        rows, counts = automatic_rows(environment, accuracy, seed, threads)
+    else:
+        rows, counts = chosen.compute(environment, visibility, accuracy, seed, threads, **options), {name: count}
     areas = environment.areas
     tight = rows.escaped <= CLOSED_SHARE * accuracy + rows.leaks
     closed = bool((areas > 0).any() and tight[areas > 0].all())
@@ -197,7 +216,7 @@ def form_factors(
         closed=closed,
         seconds=time.perf_counter() - begin,
         rays=int(rows.rays),
-        method_counts={name: count},
+        method_counts=counts,
         closure_error=closure_error(matrix, escaped, areas),
         reciprocity_error=reciprocity_error(matrix, areas),
         estimated_error=float(rows.errors.max(initial=0)),

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
+from ..visibility import segments
 from .clipped_quadrature import ClippedQuadrature
 from .contour_integral import contour_rows
 from .cropped import cropped_pair, cropped_point
@@ -15,7 +16,7 @@ from .disk import disk_rows
 from .hemisphere import hemisphere_rows
 from .hybrid import hybrid_rows
 from .identities import repair
-from .matrix import check_accuracy
+from .matrix import check_accuracy, find_method
 from .point_to_polygon import point_to_polygon
 from .quadrature import integrate_pair, sampled_pair, sampled_point
 from .single_plane import single_plane_rows
@@ -36,7 +37,7 @@ POINT_METHODS = ("point_to_polygon", "hemicube")
 #: Methods whose rows serve a pair as they are, and without rays where there are no blockers.
 ROWS = {"contour_integral": contour_rows, "disk": disk_rows, "hybrid": hybrid_rows}
 
-#: What hides, by name, for point_to_polygon: rays, or exact clipping.
+#: What hides, by name, for point_to_polygon: rays, or exact clipping. `ROWS` take all that their matrices do.
 VISIBILITIES = ("embree", "bsp")
 
 #: Blockers up to which ``auto`` clips: some tenths of a second, and no blocker is missed however small.
@@ -67,8 +68,8 @@ def form_factor(
         the factor.
     seed : int
     visibility : str
-        ``embree`` for rays, ``bsp`` for exact clipping (point_to_polygon only), or ``auto``, which clips where blockers
-        are few.
+        ``auto``, which clips exactly where blockers are few; ``embree`` for rays; ``bsp`` for exact clipping with
+        point_to_polygon; contour_integral, disk and hybrid take all that they do in a matrix.
 
     Returns
     -------
@@ -77,7 +78,7 @@ def form_factor(
     Raises
     ------
     SettingsError
-        If the method is unknown or the accuracy out of range.
+        If the method is unknown, does not take that visibility, or the accuracy is out of range.
     InvalidPolygonError
         If a polygon is malformed; the two polygons count as 0 and 1, blockers from 2.
     """
@@ -90,7 +91,8 @@ def form_factor(
     if areas[0] <= 0 or areas[1] <= 0:
         return 0.0
     if chosen in ROWS:
-        visibility = "embree" if len(environment) > 2 else "none"
+        if visibility == "auto":
+            visibility = "embree" if len(environment) > 2 else "none"
         return float(ROWS[chosen](environment, visibility, accuracy, seed).matrix[0, 1])
     if chosen == "hemisphere":
         rows = hemisphere_rows(environment, accuracy, seed)
@@ -180,9 +182,14 @@ def _choose(method: str, known: tuple[str, ...]) -> str:
 
 def _clips(visibility: str, method: str, blockers: int) -> bool:
     """Whether a visibility means exact clipping: ``auto`` does where that is quick."""
+    if visibility not in ("auto", *segments.VISIBILITIES):
+        raise SettingsError(f"Unknown visibility {visibility!r}: choose auto, {', '.join(segments.VISIBILITIES)}")
+    if method != "point_to_polygon":
+        find_method(method, visibility, {})
+        return False
     if visibility not in ("auto", *VISIBILITIES):
-        raise SettingsError(f"Unknown visibility {visibility!r}: choose auto, {', '.join(VISIBILITIES)}")
-    if visibility == "bsp" and method != "point_to_polygon":
-        raise SettingsError(f"Visibility 'bsp' does not exist for {method}: choose auto, embree")
-    few = visibility == "auto" and method == "point_to_polygon" and 0 < blockers <= CLIPPED_BLOCKERS
-    return visibility == "bsp" or few
+        raise SettingsError(
+            f"Visibility {visibility!r} does not exist for point_to_polygon on a pair, as it casts rays or clips: "
+            f"choose auto, {', '.join(VISIBILITIES)}"
+        )
+    return visibility == "bsp" or (visibility == "auto" and 0 < blockers <= CLIPPED_BLOCKERS)

@@ -27,13 +27,10 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
-from ..visibility.bsp import BspVisibility
 from ..visibility.convex_loops import is_convex, pad
+from ..visibility.segments import make_visibility
 from ..visibility.silhouettes import SilhouetteVisibility
 from .hemisphere import SampledRows
-
-#: Visibilities by name; the first is what ``auto`` takes.
-VISIBILITIES = ("silhouettes", "bsp", "none")
 
 #: Cells per side of a patch in successive rounds.
 CELLS = (1, 2, 4, 8, 16, 32)
@@ -204,11 +201,13 @@ def point_to_point_rows(environment, visibility, accuracy, seed=0, threads=0, ce
     ----------
     environment : Environment
     visibility : str
-        ``silhouettes``, ``bsp`` or ``none``.
+        ``silhouettes``, which test a row of vertices at once; ``none``, or any other that tests segments.
     accuracy : float
         Change by which the last doubling of a pair's grid may move its factor, extrapolated to an infinite grid.
-    seed, threads : int
-        Nothing is random, and no thread is used.
+    seed : int
+        Nothing is random.
+    threads : int
+        Threads of the ray engine, where it is used.
     cells : int or None
         Cells per side of all patches, instead of refinement; the errors are then the change from half as many.
 
@@ -223,7 +222,9 @@ def point_to_point_rows(environment, visibility, accuracy, seed=0, threads=0, ce
     """
     if cells is not None and (int(cells) != cells or cells < 1):
         raise SettingsError(f"Cells per side of a patch must be a whole number from 1 on, not {cells}")
-    integrator = _Integrator(environment, _visibility(visibility, environment))
+    integrator = _Integrator(
+        environment, None if visibility == "none" else make_visibility(visibility, environment, threads)
+    )
     levels = CELLS if cells is None else ((cells,) if cells == 1 else (max(cells // 2, 1), int(cells)))
     count, areas = len(environment), environment.areas
     receivers, sources = integrator.pairs()
@@ -259,15 +260,6 @@ def point_to_point_rows(environment, visibility, accuracy, seed=0, threads=0, ce
         integrator.tested,
         np.minimum(changes.sum(axis=1), 0.01),
     )
-
-
-def _visibility(name, environment):
-    if name == "none":
-        return None
-    kinds = {"silhouettes": SilhouetteVisibility, "bsp": BspVisibility}
-    if name not in kinds:
-        raise SettingsError(f"Visibility {name!r} does not exist for point_to_point: choose {', '.join(VISIBILITIES)}")
-    return kinds[name](environment)
 
 
 class _Rounds:

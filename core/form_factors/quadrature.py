@@ -17,6 +17,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..visibility.embree import RayEngine
+from ..visibility.segments import make_visibility
 from .hemisphere import SampledRows, seam_leaks
 from .point_to_polygon import point_to_polygon
 from .sampling import PatchSampler, kronecker_points
@@ -73,11 +74,16 @@ def integrate_pair(environment: Environment, receiver: int, source: int, toleran
 def quadrature_rows(environment, visibility, accuracy, seed=0, threads=0) -> SampledRows:
     """Form factors of all patches: closed form to every patch from points spread over each.
 
-    `visibility` is ``embree``, or ``none`` to ignore occlusion. The other parameters and the result are those of
-    `hemisphere_rows`; what escapes is the rest of each row.
+    `visibility` is any that tests segments, or ``none`` to ignore occlusion. The other parameters and the result are
+    those of `hemisphere_rows`; what escapes is the rest of each row.
     """
     count = len(environment)
-    engine = _engine(environment, threads) if visibility == "embree" else None
+    if visibility == "none":
+        engine = None
+    elif visibility == "embree":
+        engine = _engine(environment, threads)
+    else:
+        engine = _Segments(make_visibility(visibility, environment, threads))
     matrix, errors = np.zeros((count, count)), np.zeros(count)
     samples, rays = np.zeros(count, dtype=np.int64), 0
     pending = np.flatnonzero(environment.areas > 0)
@@ -137,6 +143,19 @@ def sampled_point(environment, point, normal, source, accuracy, seed=0, threads=
     # The pieces' factors sum to the whole polygon's, which rounds less.
     whole = point_to_polygon(point[None], normal[None], polygon, two_sided)[0]
     return float(min(shares.mean(), whole)), float(error), rays
+
+
+class _Segments:
+    """Visibility of segments in place of a ray engine."""
+
+    #: Its segments begin on the surface itself.
+    offset = 0.0
+
+    def __init__(self, visibility):
+        self._visibility = visibility
+
+    def occluded(self, origins, targets):
+        return ~self._visibility.visible(origins, targets)
 
 
 def _engine(environment: Environment, threads: int) -> RayEngine:

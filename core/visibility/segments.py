@@ -1,8 +1,9 @@
 """Visibility of segments: one signature for every way to tell whether two points see each other.
 
 `embree` rays are the fastest where they exist; `zbuffer` needs no compiled code and serves many targets from few
-origins, right but for a pixel's width along silhouettes; `brute_force` is the reference, for small scenes; `none` says
-that nothing blocks, for convex rooms.
+origins, right but for a pixel's width along silhouettes; `bsp` is exact without compiled code; `silhouettes` is, too,
+for blockers that are convex polyhedra; `brute_force` is the reference, for small scenes; `none` says that nothing
+blocks, for convex rooms.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import numpy as np
 from ..environment import Environment
 from ..errors import SettingsError
 from .brute_force import BruteForce
+from .bsp import BspVisibility
 from .cube_map import CubeMaps
 from .embree import SHADOW_LENGTH, RayEngine
 from .margins import end_margin, trim
+from .silhouettes import SilhouetteVisibility
 
 
 class Visibility(Protocol):
@@ -84,6 +87,14 @@ def _zbuffer(environment, threads, **options):
     return CubeMaps(environment, **options)
 
 
+def _bsp(environment, threads, **options):
+    return BspVisibility(environment, **options)
+
+
+def _silhouettes(environment, threads, **options):
+    return SilhouetteVisibility(environment, **options)
+
+
 def _brute_force(environment, threads, **options):
     return BruteForce(environment, **options)
 
@@ -93,6 +104,8 @@ VISIBILITIES: dict[str, tuple[Callable[..., Visibility], tuple[str, ...]]] = {
     "none": (_none, ()),
     "embree": (_embree, ()),
     "zbuffer": (_zbuffer, ("resolution",)),
+    "bsp": (_bsp, ()),
+    "silhouettes": (_silhouettes, ()),
     "brute_force": (_brute_force, ()),
 }
 
@@ -114,7 +127,7 @@ def make_visibility(name: str, environment: Environment, threads: int = 0, **opt
     Raises
     ------
     SettingsError
-        If the name or an option is unknown.
+        If the name or an option is unknown, or the blockers are not convex polyhedra, which ``silhouettes`` need.
     MissingRayEngineError
         If rays are needed and cannot be traced on this platform.
     """

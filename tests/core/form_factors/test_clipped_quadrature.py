@@ -6,7 +6,7 @@ from radiosity import core
 from radiosity.core.errors import SettingsError
 from radiosity.core.form_factors import clipped_quadrature
 
-from tests.reference_cases import allowed, form_factor_cases, ids, in_order, surface_matrix
+from tests.reference_cases import allowed, form_factor_cases, ids, in_order, polygons_of, surface_matrix
 
 CASES = form_factor_cases()
 OBSTRUCTED = ids(CASES, "obstructed")
@@ -51,6 +51,44 @@ def test_large_enclosure_at_the_fine_level(name):
     matrix, _, _ = surface_matrix(case, method="point_to_polygon", visibility="bsp", accuracy=1e-4)
     error = np.abs(in_order(case, matrix, order) - expected)
     assert (error <= allowed(case, "fine", expected)).all() and error.max() <= 1e-4
+
+
+@pytest.mark.slow
+def test_cornell_box_at_the_exact_level():
+    case = CASES["enc-cornell"]
+    order, expected = case["matrix"]["order"], np.array(case["matrix"]["F"])
+    matrix, _, _ = surface_matrix(case, method="point_to_polygon", visibility="bsp", accuracy=1e-6)
+    assert (np.abs(in_order(case, matrix, order) - expected) <= allowed(case, "exact", expected)).all()
+
+
+def short_box():
+    """Wall, a thin floor triangle behind the short box, and one before its side by a tip alone; then the box."""
+    polygons, owners = polygons_of(CASES["enc-cornell"])
+    names = np.array([surface["name"] for surface in CASES["enc-cornell"]["surfaces"]])[owners]
+    wall = polygons[names.tolist().index("right-green")]
+    box = [polygon for polygon, name in zip(polygons, names, strict=True) if name.startswith("short")]
+    return wall, polygons[4], polygons[1], box
+
+
+def test_a_tip_that_alone_sees_the_source_counts():
+    # A thousandth of the triangle lies before the box's side, and planes of the box cross it where nothing is seen.
+    _, _, floor, box = short_box()
+    *others, side = box
+    exact = core.form_factor(floor, side, method="contour_integral")
+    assert 0 < exact < 2e-5
+    assert core.form_factor(floor, side, others, visibility="bsp", accuracy=1e-8) == pytest.approx(exact, abs=1e-8)
+
+
+def test_a_corner_that_sees_past_a_box_counts():
+    # From the wall most points see nothing of the thin triangle behind the box, whatever the accuracy; from the
+    # triangle few do. Both ways must agree, as each is exact.
+    wall, strip, _, box = short_box()
+    environment = core.Environment.from_polygons([wall, strip, *box])
+    ratio = environment.areas[1] / environment.areas[0]
+    quadrature = clipped_quadrature.ClippedQuadrature(environment)
+    values, errors = quadrature.pairs([0, 1], [1, 0], np.array([1e-7 * ratio, 1e-7]))
+    assert values[0] == pytest.approx(values[1] * ratio, abs=2e-7 * ratio)
+    assert (errors <= [1e-7 * ratio, 1e-7]).all()
 
 
 def test_half_of_a_light_behind_a_wall_is_half_of_its_factor():

@@ -148,7 +148,7 @@ def test_without_visibility_a_convex_room_is_exact_in_its_row_sums():
 
 def test_identities_hold_in_the_matrix_that_is_returned():
     environment = fine_environment(3)
-    result = core.form_factors(environment, accuracy=2e-3)
+    result = core.form_factors(environment, "hemisphere", accuracy=2e-3)
     assert result.closed
     exchange = environment.areas[:, None] * result.matrix
     np.testing.assert_allclose(exchange, exchange.T, atol=1e-15)
@@ -166,7 +166,7 @@ def test_error_estimate_is_true_and_falls_with_the_accuracy_asked_for():
     environment = core.Environment.from_polygons(polygons)
     deviations = {}
     for accuracy in (8e-3, 2e-3, 1e-3):
-        runs = [core.form_factors(environment, accuracy=accuracy, seed=seed) for seed in range(6)]
+        runs = [core.form_factors(environment, "hemisphere", accuracy=accuracy, seed=seed) for seed in range(6)]
         assert all(run.estimated_error <= accuracy for run in runs)
         errors = np.array([in_order(case, run.matrix, case["matrix"]["order"]) - expected for run in runs])
         deviations[accuracy] = np.sqrt((errors**2).mean(axis=0)).max()
@@ -177,9 +177,9 @@ def test_error_estimate_is_true_and_falls_with_the_accuracy_asked_for():
 
 def test_same_seed_same_bits_for_any_number_of_threads():
     environment = fine_environment(2)
-    first = core.form_factors(environment, accuracy=4e-3, seed=3, threads=1)
-    again = core.form_factors(environment, accuracy=4e-3, seed=3, threads=3)
-    other = core.form_factors(environment, accuracy=4e-3, seed=4)
+    first = core.form_factors(environment, "hemisphere", accuracy=4e-3, seed=3, threads=1)
+    again = core.form_factors(environment, "hemisphere", accuracy=4e-3, seed=3, threads=3)
+    other = core.form_factors(environment, "hemisphere", accuracy=4e-3, seed=4)
     assert np.array_equal(first.matrix, again.matrix)
     assert not np.array_equal(first.matrix, other.matrix)
 

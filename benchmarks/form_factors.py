@@ -18,7 +18,8 @@ writes to the folder OUTPUT:
 Every scene is measured in a process of its own. What takes less than `REPEATED` seconds is run three times, and the
 least time counts. Memory is the peak of what Python and NumPy allocate (tracemalloc) in a further run, since tracing
 costs time; what the ray engine holds is not in it. A run above the time limit is ended, and the series' finer runs are
-left out, as after one that came near it. Times depend on what else the machine does: compare those of one run of this command.
+left out, as they are after one that came near it. Times depend on what else the machine does: compare those of one run
+of this command, and on a busy machine CPU seconds, which count all threads.
 """
 
 from __future__ import annotations

@@ -56,9 +56,8 @@ def draw(path: Path, lines: list[dict]) -> None:
     panels[0].set_ylabel("largest error of a factor")
     largest = max(run["max_error"] for run in runs)
     panels[0].set_ylim(_drawn([runs[0]["reference_error"], *(run["max_error"] for run in runs)]).min() / 2, 2 * largest)
-    figure.suptitle(
-        f"{runs[0]['scene']}, {runs[0]['patches']} patches; gray stairs: the best of all, gray band: less than the reference's own error"
-    )
+    title = f"{runs[0]['scene']}, {runs[0]['patches']} patches"
+    figure.suptitle(f"{title}; gray stairs: the best of all; gray band: less than the reference's own error")
     figure.savefig(path, dpi=100)
     pyplot.close(figure)
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.form_factor_scenes import SCENES, box, read_obj
 from radiosity import core
+
+from benchmarks.form_factor_scenes import SCENES, box, read_obj
 
 ROOT = Path(__file__).resolve().parents[1]
 

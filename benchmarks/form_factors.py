@@ -1,7 +1,7 @@
 """All form-factor methods with all visibilities on six scenes: error against time, rays and memory.
 
     python -m benchmarks.form_factors OUTPUT [--scenes facing_plates,...] [--methods hemicube,...] [--quick]
-        [--scene-file ROOM.obj] [--patches 40] [--limit 4] [--threads 0]
+        [--scene-file ROOM.obj] [--patches 40] [--limit 2] [--threads 0]
 
 writes to the folder OUTPUT:
 
@@ -53,8 +53,8 @@ PLAIN_ACCURACY = 1e-3
 #: Seconds below which a run is repeated, and how often.
 REPEATED, REPETITIONS = 0.2, 3
 
-#: Time limits that a traced run may take, as tracing slows it down.
-TRACED = 2
+#: Time limits that the first run of a series may take, so that slow methods show at least one.
+FIRST_STEP = 3
 
 #: Part of the time limit after which finer steps are left out: each takes about three times the one before.
 LAST_STEP = 0.4
@@ -114,13 +114,12 @@ class Bench:
     """A process that measures on one scene, started anew after a run that had to be ended."""
 
     scene: Scene
-    limit: float
     threads: int
     process: multiprocessing.Process | None = None
     connection: object = field(default=None, repr=False)
 
-    def measure(self, series: Series, accuracy: float, options: dict) -> dict:
-        """Numbers of a run, or only its ``status``."""
+    def measure(self, series: Series, accuracy: float, options: dict, limit: float) -> dict:
+        """Numbers of a run, or only its ``status``; the traced run has the same limit, or goes without a result."""
         if self.process is None:
             context = multiprocessing.get_context("spawn")
             self.connection, theirs = context.Pipe()
@@ -130,13 +129,13 @@ class Bench:
             self.connection.recv()
         self.connection.send((series.method, series.visibility, accuracy, options))
         # The first run may be followed by two repetitions, which are short.
-        if not self.connection.poll(self.limit + REPETITIONS * REPEATED):
+        if not self.connection.poll(limit + REPETITIONS * REPEATED):
             self.end()
-            return {"status": f"ended after {self.limit:g} s"}
+            return {"status": f"ended after {limit:g} s"}
         numbers = self.connection.recv()
         if numbers["status"] != "done":
             return numbers
-        if self.connection.poll(TRACED * self.limit):
+        if self.connection.poll(limit):
             numbers["peak_MB"] = self.connection.recv()
         else:
             self.end()
@@ -237,12 +236,13 @@ def refusals(methods: list[str]) -> list[dict]:
 
 def run_scene(scene: Scene, series: list[Series], limit: float, threads: int) -> list[dict]:
     """Lines of all series on one scene."""
-    bench, lines = Bench(scene, limit, threads), []
+    bench, lines = Bench(scene, threads), []
     try:
         for one in series:
             stopped = ""
-            for accuracy, options in one.steps:
-                numbers = {"status": stopped} if stopped else bench.measure(one, accuracy, options)
+            for step, (accuracy, options) in enumerate(one.steps):
+                allowed = limit if step else FIRST_STEP * limit
+                numbers = {"status": stopped} if stopped else bench.measure(one, accuracy, options, allowed)
                 if numbers["status"].startswith("ended"):
                     stopped = "left out: a coarser step took too long"
                 elif numbers.get("seconds", 0) > LAST_STEP * limit:
@@ -295,7 +295,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--patches", type=int, default=40, help="largest polygons taken from the file")
     parser.add_argument("--methods", default=",".join(METHODS), help=f"of {', '.join(METHODS)}")
     parser.add_argument("--quick", action="store_true", help="two accuracies instead of six")
-    parser.add_argument("--limit", type=float, default=4.0, help="seconds that a run may take")
+    parser.add_argument(
+        "--limit", type=float, default=2.0, help="seconds that a run may take; the first of a series three times"
+    )
     parser.add_argument("--threads", type=int, default=0, help="0 takes all cores")
     return parser
 

@@ -1,0 +1,58 @@
+"""The comparison of form factors: its scenes are what they claim to be, and the command writes its table."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from radiosity import core
+
+from benchmarks.form_factor_scenes import SCENES, box, read_obj
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_box_looks_outward_or_inward_on_all_sides():
+    for inward in (False, True):
+        environment = core.Environment.from_polygons(box((1, 2, 3), (2, 4, 6), inward, divisions=2))
+        assert environment.areas.sum() == pytest.approx(22, rel=1e-12)
+        outward = np.einsum("ij,ij->i", environment.centroids - (1.5, 3, 4.5), environment.normals)
+        assert (outward < 0).all() if inward else (outward > 0).all()
+
+
+@pytest.mark.parametrize("name", ["facing_plates", "touching_plates"])
+def test_exact_method_reproduces_the_reference_of_a_scene(name):
+    scene = SCENES[name]()
+    found = scene.surface_factors(core.form_factors(scene.environment, "contour_integral", "none").matrix)
+    known = ~np.isnan(scene.factors)
+    assert known.any()
+    # Relative, as both are computed in float64 and lose a few roundings for each edge.
+    np.testing.assert_allclose(found[known], scene.factors[known], rtol=1e-12)
+
+
+def test_obj_polygons_keep_their_corners_and_bent_ones_become_triangles(tmp_path):
+    path = tmp_path / "scene.obj"
+    flat = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1/1 2/2/2 3//3 4\n"
+    bent = "v 0 0 1\nv 1 0 1\nv 1 1 1.5\nv 0 1 1\nf -4 -3 -2 -1\n"
+    path.write_text(f"# a comment\n{flat}{bent}f 1 2 2\n", encoding="utf-8")
+    polygons = read_obj(path)
+    assert [len(polygon) for polygon in polygons] == [4, 3, 3]
+    np.testing.assert_array_equal(polygons[0], [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    np.testing.assert_array_equal(polygons[2], [(0, 0, 1), (1, 1, 1.5), (0, 1, 1)])
+
+
+def test_command_writes_every_run_and_every_refusal_with_its_reason(tmp_path):
+    command = [sys.executable, "-m", "benchmarks.form_factors", str(tmp_path), "--quick", "--methods=contour_integral"]
+    subprocess.run([*command, "--scenes=facing_plates"], cwd=ROOT, check=True, capture_output=True)
+    with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    refused = {line["visibility"]: line["status"] for line in lines if line["scene"] == "any"}
+    assert set(refused) == {"bsp", "silhouettes"}
+    assert all("does not exist for contour_integral" in status for status in refused.values())
+    runs = [line for line in lines if line["scene"] == "facing_plates"]
+    # Four visibilities and the option `fast`, at two accuracies.
+    assert [line["status"] for line in runs] == ["done"] * 10
+    assert all(float(line["max_error"]) < float(line["accuracy"]) for line in runs)
+    assert all(float(line["seconds"]) > 0 and float(line["peak_MB"]) > 0 for line in runs)

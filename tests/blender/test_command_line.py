@@ -425,15 +425,20 @@ def test_python_dash_m_keeps_standard_output_clean(room, tmp_path):
     assert refused.returncode == 2
 
 
+#: Lines of a process's status with the signals that it catches and ignores.
+_HELD = ("SigCgt:", "SigIgn:")
+
+
 def _wait_for_the_command(process):
     """Until our own code runs: what Python says when it is stopped while it starts, on a busy machine, is not ours."""
     status = Path(f"/proc/{process.pid}/status")
     if not status.exists():
         return  # no Linux: half a second must do
-    for catches in (True, False):  # Python takes the signal over, and the command hands it back
+    for is_held in (True, False):  # Python catches the signal, or inherits that it is ignored; the command lets it go
         while process.poll() is None:
-            caught = next(line for line in status.read_text().splitlines() if line.startswith("SigCgt"))
-            if bool(int(caught.split()[1], 16) >> (signal.SIGINT - 1) & 1) == catches:
+            lines = [line.split() for line in status.read_text().splitlines()]
+            held = sum(int(line[1], 16) >> (signal.SIGINT - 1) & 1 for line in lines if line[0] in _HELD)
+            if bool(held) == is_held:
                 break
 
 

@@ -1,6 +1,7 @@
 """The comparison of form factors: its scenes are what they claim to be, and the command writes its table."""
 
 import csv
+import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ from radiosity import core
 from benchmarks.form_factor_scenes import SCENES, box, read_obj
 
 ROOT = Path(__file__).resolve().parents[1]
+#: Inside Blender the tests put the package together by themselves, which a process of its own cannot see.
+IS_INSTALLED = "radiosity" in importlib.metadata.packages_distributions()
 
 
 def test_box_looks_outward_or_inward_on_all_sides():
@@ -43,16 +46,17 @@ def test_obj_polygons_keep_their_corners_and_bent_ones_become_triangles(tmp_path
     np.testing.assert_array_equal(polygons[2], [(0, 0, 1), (1, 1, 1.5), (0, 1, 1)])
 
 
+@pytest.mark.skipif(not IS_INSTALLED, reason="another process cannot import the package")
 def test_command_writes_every_run_and_every_refusal_with_its_reason(tmp_path):
-    command = [sys.executable, "-m", "benchmarks.form_factors", str(tmp_path), "--quick", "--methods=contour_integral"]
+    command = [sys.executable, "-m", "benchmarks.form_factors", str(tmp_path), "--quick", "--methods=hemisphere"]
     subprocess.run([*command, "--scenes=facing_plates"], cwd=ROOT, check=True, capture_output=True)
     with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     refused = {line["visibility"]: line["status"] for line in lines if line["scene"] == "any"}
-    assert set(refused) == {"bsp", "silhouettes"}
-    assert all("does not exist for contour_integral" in status for status in refused.values())
+    assert set(refused) == {"zbuffer", "bsp", "silhouettes", "brute_force", "none"}
+    assert all("which only embree tells" in status for status in refused.values())
     runs = [line for line in lines if line["scene"] == "facing_plates"]
-    # Four visibilities and the option `fast`, at two accuracies.
-    assert [line["status"] for line in runs] == ["done"] * 10
-    assert all(float(line["max_error"]) < float(line["accuracy"]) for line in runs)
+    # Even and random rays, at two accuracies; what is asked for is a standard error.
+    assert [line["status"] for line in runs] == ["done"] * 4
+    assert all(float(line["max_error"]) < 3 * float(line["accuracy"]) for line in runs)
     assert all(float(line["seconds"]) > 0 and float(line["peak_MB"]) > 0 for line in runs)

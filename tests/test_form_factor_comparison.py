@@ -1,7 +1,6 @@
 """The comparison of form factors: its scenes are what they claim to be, and the command writes its table."""
 
 import csv
-import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +13,7 @@ from benchmarks.form_factor_scenes import SCENES, box, read_obj
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Inside Blender the tests put the package together by themselves, which a process of its own cannot see.
-IS_INSTALLED = "radiosity" in importlib.metadata.packages_distributions()
+IS_INSIDE_BLENDER = "bpy" in sys.modules and bool(sys.modules["bpy"].app.binary_path)
 
 
 def test_box_looks_outward_or_inward_on_all_sides():
@@ -46,7 +45,7 @@ def test_obj_polygons_keep_their_corners_and_bent_ones_become_triangles(tmp_path
     np.testing.assert_array_equal(polygons[2], [(0, 0, 1), (1, 1, 1.5), (0, 1, 1)])
 
 
-@pytest.mark.skipif(not IS_INSTALLED, reason="another process cannot import the package")
+@pytest.mark.skipif(IS_INSIDE_BLENDER, reason="another process cannot import the package")
 def test_command_writes_every_run_and_every_refusal_with_its_reason(tmp_path):
     command = [sys.executable, "-m", "benchmarks.form_factors", str(tmp_path), "--quick", "--methods=hemisphere"]
     subprocess.run([*command, "--scenes=facing_plates"], cwd=ROOT, check=True, capture_output=True)

@@ -61,7 +61,7 @@ def _between(tree, first, second, candidates):
     lines, columns = np.nonzero(result)
     if not len(lines):
         return result
-    normals, offsets = _hull_planes(first, second)
+    normals, offsets = hull_planes(first, second)
     beyond = np.matmul(normals[lines], loops[lines, columns].transpose(0, 2, 1)) - offsets[lines][:, :, None]
     # Planes that do not bound the hull have no normal, and nothing lies beyond them.
     outside = (beyond >= -TOLERANCE).all(axis=2) & normals.any(axis=2)[lines]
@@ -69,7 +69,7 @@ def _between(tree, first, second, candidates):
     return result
 
 
-def _hull_planes(first, second):
+def hull_planes(first, second):
     """Normals (p, e, 3) that point out of the hull of two loops, and offsets; 0 for planes that do not bound it."""
     both = np.concatenate((first, second), axis=1)
     normals, anchors = [], []

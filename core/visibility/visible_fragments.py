@@ -55,6 +55,10 @@ class Fragments:
     pieces: np.ndarray
     fronts: np.ndarray
 
+    def take(self, rows: np.ndarray) -> Fragments:
+        """Some of the fragments."""
+        return Fragments(self.rays[rows], self.views[rows], self.pieces[rows], self.fronts[rows])
+
 
 class FragmentClipper:
     """Clips polygons of a tree by all that comes before them.
@@ -83,6 +87,16 @@ class FragmentClipper:
         blockers : (v, b) int
             Pieces that may hide it, in any order, -1 for none.
         """
+        exposed = self.exposed(points, normals, targets)
+        touched, left = self.unshadowed(exposed, points, blockers)
+        parts = (exposed.take(~touched), left)
+        return Fragments(
+            join([part.rays for part in parts]),
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("views", "pieces", "fronts")),
+        )
+
+    def exposed(self, points: np.ndarray, normals: np.ndarray, targets: np.ndarray) -> Fragments:
+        """What each view would see of its target if nothing stood between, as by `visible`."""
         pieces = self.tree.pieces
         sides = self._sides(points, targets)
         seen = (sides > 0) | (self.two_sided[targets] & (sides < 0))
@@ -90,9 +104,22 @@ class FragmentClipper:
         rays = pieces.loops[targets[views]] - points[views, None]
         rays, rows, _, _ = split(rays, np.einsum("vki,vi->vk", rays, normals[views]), SLIVER)
         views = views[rows]
-        if blockers.shape[1] and len(views):
-            rays, views = self._unshadowed(rays, views, points, targets, blockers)
         return Fragments(rays, views, targets[views], sides[views] > 0)
+
+    def unshadowed(self, exposed: Fragments, points: np.ndarray, blockers: np.ndarray):
+        """What blockers leave of exposed polygons; points and blockers are those of `visible`.
+
+        Returns
+        -------
+        touched : (f,) bool
+            Which of the polygons a shadow may have reached. The others are visible as they are.
+        left : Fragments
+            What is visible of those.
+        """
+        touched = np.zeros(len(exposed.views), dtype=bool)
+        shaded = np.flatnonzero((blockers[exposed.views] >= 0).any(axis=1))
+        rays, rows = self._subtract_all(exposed.take(shaded), points, blockers, touched, shaded)
+        return touched, Fragments(rays, exposed.views[rows], exposed.pieces[rows], exposed.fronts[rows])
 
     def _sides(self, points, pieces):
         """Side (...) of points on which they lie of pieces' planes: 1 in front, -1 behind, 0 edge-on."""
@@ -103,23 +130,22 @@ class FragmentClipper:
         same = np.einsum("...i,...i->...", tree.normals[nodes], tree.pieces.normals[pieces]) > 0
         return np.where(np.abs(heights) <= EDGE_ON, 0, np.where((heights > 0) == same, 1, -1))
 
-    def _unshadowed(self, rays, views, points, targets, blockers):
-        """Parts of rays (f, k, 3) outside of all shadows, and their views."""
+    def _subtract_all(self, exposed, points, blockers, touched, names):
+        """Parts of exposed polygons (rays and names) outside of all shadows, where `touched` by one, which it notes."""
         tree = self.tree
-        used, compact = np.unique(views, return_inverse=True)
-        candidates = blockers[used]
-        ranks = tree.ranks(points[used])
-        lines = np.arange(len(used))[:, None]
-        places = ranks[lines, tree.nodes[candidates]]
-        sides = self._sides(points[used, None], candidates)
+        points, candidates = points[exposed.views], blockers[exposed.views]
+        ranks = tree.ranks(points)
+        lines = np.arange(len(points))
+        places = ranks[lines[:, None], tree.nodes[candidates]]
+        sides = self._sides(points[:, None], candidates)
         before = (candidates >= 0) & (sides != 0)
-        before &= places < ranks[lines[:, 0], tree.nodes[targets[used]]][:, None]
+        before &= places < ranks[lines, tree.nodes[exposed.pieces]][:, None]
         # Near ones first: they hide most, and what is hidden costs nothing more.
         order = np.argsort(np.where(before, places, np.iinfo(np.int32).max), axis=1, kind="stable")
         candidates = np.take_along_axis(candidates, order, axis=1)
         sides = np.take_along_axis(sides, order, axis=1)
         counts = before.sum(axis=1)
-        owners, done = compact, []
+        rays, owners, done = exposed.rays, lines, []
         for place in range(counts.max(initial=0)):
             going = counts[owners] > place
             if not going.all():
@@ -127,15 +153,17 @@ class FragmentClipper:
                 rays, owners = rays[going], owners[going]
             if not len(rays):
                 break
-            rays, owners = self._subtract(
-                rays, owners, candidates[owners, place], sides[owners, place], points[used[owners]]
+            rays, owners, reached = self._subtract(
+                rays, owners, candidates[owners, place], sides[owners, place], points[owners]
             )
+            touched[names[reached]] = True
         done.append((rays, owners))
-        rays, owners = join([part for part, _ in done]), np.concatenate([part for _, part in done])
-        return rays, used[owners]
+        rays, owners = join([part for part, _ in done]), names[np.concatenate([part for _, part in done])]
+        left = touched[owners]
+        return rays[left], owners[left]
 
     def _subtract(self, rays, owners, blockers, sides, points):
-        """Parts of rays outside of one shadow each."""
+        """Parts of rays outside of one shadow each, their owners, and the owners of those that it may have reached."""
         corners = self.tree.pieces.loops[blockers] - points[:, None]
         outward = np.cross(corners, np.roll(corners, -1, axis=1)) * sides[:, None, None]
         lengths = np.linalg.norm(outward, axis=2, keepdims=True)
@@ -146,6 +174,7 @@ class FragmentClipper:
         apart = (real & (heights >= -SLIVER).all(axis=2)).any(axis=1)
         kept = [(rays[apart], owners[apart])]
         inner, rows = rays[~apart], np.flatnonzero(~apart)
+        reached = owners[rows]
         for edge in range(outward.shape[1]):
             if not len(rows):
                 break
@@ -156,8 +185,8 @@ class FragmentClipper:
             inner, rows = inside, rows[inside_rows]
         kept = [(part, owner) for part, owner in kept if len(part)]
         if not kept:
-            return rays[:0], owners[:0]
-        return join([part for part, _ in kept]), np.concatenate([owner for _, owner in kept])
+            return rays[:0], owners[:0], reached
+        return join([part for part, _ in kept]), np.concatenate([owner for _, owner in kept]), reached
 
 
 def fragment_factors(fragments: Fragments, normals: np.ndarray) -> np.ndarray:

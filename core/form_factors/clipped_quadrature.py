@@ -35,8 +35,8 @@ from .hemisphere import SampledRows
 from .plane_clipping import clip_loops
 from .triangle_cells import RULE_POINTS, RULE_WEIGHTS, areas, divide, fans
 
-#: Views evaluated at once: temporaries near 50 MB.
-BLOCK_VIEWS = 8192
+#: Views evaluated at once: temporaries near 25 MB.
+BLOCK_VIEWS = 4096
 
 #: Cells of one pair after which division stops; the error it stops with is returned.
 MOST_CELLS = 100_000

@@ -33,7 +33,7 @@ from .contour_integral import ROUNDING, contour_sums
 from .critical_lines import critical_lines
 from .hemisphere import SampledRows
 from .plane_clipping import clip_loops
-from .triangle_cells import RULE_POINTS, RULE_WEIGHTS, areas, divide, fans
+from .triangle_cells import NULL_WEIGHTS, RULE_POINTS, RULE_WEIGHTS, areas, divide, fans
 
 #: Views evaluated at once: temporaries near 25 MB.
 BLOCK_VIEWS = 4096
@@ -54,6 +54,15 @@ NEGLIGIBLE = 8
 #: Error per change that a division makes. On boxes with a plate or a cube between, real errors were up to 3.5 times
 #: the sum of the changes, where an early division agreed by luck.
 SAFETY = 4
+
+#: What a cell's values deviate from a parabola counts, by this share, as a change at least: it does not cancel, as the
+#: changes of several cells may. With it no factor of four reference enclosures, in either direction, errs by more than
+#: 0.6 of what is asked for (1e-3, 1e-4, 1e-5), where some had erred by twice that.
+ROUGHNESS = 0.3
+
+#: Share of the tolerance below which a cell is not looked at again though its points may have missed something: each
+#: pair that is shaded states an error of at least that much.
+RISK = 0.1
 
 #: Part of a cell that a cut may leave in one piece while the change it makes counts as an estimate of the error.
 LARGEST_PART = 0.9
@@ -204,7 +213,7 @@ class ClippedQuadrature:
         self._refine(pairs, cells, values, lines, totals, exact)
         for part in exact:
             self._add_exact(part, pairs, totals)
-        return totals.factors, totals.errors
+        return totals.factors, np.maximum(totals.errors, np.where(totals.spent > 0, RISK * tolerances, 0))
 
     def _begin(self, receivers, sources, side, tolerances):
         """The pairs, the cells that their integrals begin with, and their critical lines."""
@@ -263,10 +272,11 @@ class ClippedQuadrature:
             owners = cells.pairs[parents]
             blockers = shaft_candidates(self.tree, corners, pairs.looked_at[owners], cells.blockers[parents])
             children = _Cells(corners, owners, parts * cells.shares[parents], blockers)
-            finer, most, alike = self._means(children, pairs)
+            finer, most, alike, rough = self._means(children, pairs)
+            rough = np.bincount(parents, rough * children.shares, len(cells.pairs))
             finer, most = finer * children.shares, most * children.shares
             sums = np.bincount(parents, finer, len(cells.pairs))
-            changes = np.abs(sums - values)
+            changes = np.maximum(np.abs(sums - values), ROUGHNESS * rough)
             unsure = (parts > LARGEST_PART) | (strongly[parents] & (most > pairs.tolerances[owners]))
             unsure |= self._coarse(children, pairs, most)
             unsure |= self._missed(children, pairs, most, alike, ~unsure)
@@ -303,25 +313,28 @@ class ClippedQuadrature:
         smallest = np.where(cells.blockers >= 0, self.extents[cells.blockers], np.inf).min(axis=1)
         long = np.ptp(cells.corners, axis=1).max(axis=1) > CELL_TO_BLOCKER * smallest
         shaded = (cells.blockers >= 0).any(axis=1)
-        return (long & (most > tolerances)) | (
+        return (long & (most > RISK * tolerances)) | (
             shaded & (cells.shares > LARGEST_SHADED) & (most > tolerances * NEGLIGIBLE)
         )
 
     def _missed(self, cells, pairs, most, alike, asked):
         """(c,) bool: cells, of those asked about, near whose corners the source looks other than from their points."""
-        asked = asked & (alike != MIXED) & (cells.blockers >= 0).any(axis=1) & (most > pairs.tolerances[cells.pairs])
+        asked = (
+            asked & (alike != MIXED) & (cells.blockers >= 0).any(axis=1) & (most > RISK * pairs.tolerances[cells.pairs])
+        )
         suspects = np.flatnonzero(asked)
         missed = np.zeros(len(cells.pairs), dtype=bool)
         missed[suspects] = self._means(cells.take(suspects), pairs, PROBES)[2] != alike[suspects]
         return missed
 
     def _means(self, cells, pairs, rule=RULE_POINTS):
-        """Mean factors (c,) over cells to their sources, the same without blockers, and what is alike.
+        """Mean factors (c,) over cells to their sources, the same without blockers, what is alike, and the roughness.
 
-        The last says whether all points of the rule see all that is before them, or nothing, or neither.
+        The third says whether all points of the rule see all that is before them, or nothing, or neither.
         """
         count = len(cells.pairs)
-        means, most, alike = np.empty(count), np.empty(count), np.empty(count, dtype=np.int8)
+        means, most, rough = np.empty(count), np.empty(count), np.zeros(count)
+        alike = np.empty(count, dtype=np.int8)
         weights = RULE_WEIGHTS if rule is RULE_POINTS else np.full(len(rule), 1 / len(rule))
         block = max(1, BLOCK_VIEWS // len(rule))
         for start in range(0, count, block):
@@ -331,9 +344,11 @@ class ClippedQuadrature:
             seen, whole = self._factors(points, pairs.normals[task], pairs.sources[task], blockers)
             seen, whole = seen.reshape(-1, len(rule)), whole.reshape(-1, len(rule))
             means[rows], most[rows] = seen @ weights, whole @ weights
+            if rule is RULE_POINTS:
+                rough[rows] = np.abs(seen @ NULL_WEIGHTS)
             hidden, lit = (seen == 0).all(axis=1), (seen >= whole * (1 - SAME)).all(axis=1)
             alike[rows] = np.where(lit, LIT, np.where(hidden, HIDDEN, MIXED))
-        return means, most, alike
+        return means, most, alike, rough
 
     def _factors(self, points, normals, sources, blockers):
         """Exact factors (v,) from points of the unit frame to one source each, and what they are without blockers."""

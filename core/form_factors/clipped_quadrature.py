@@ -74,6 +74,9 @@ EXACT_SHARE = 0.01
 #: Cells pending above which the pairs that they belong to are worked on one half after the other: about 100 MB.
 MOST_ACTIVE = 2**15
 
+#: Pairs times pieces of the tree that are worked on together: about 100 MB with what is found between them.
+MOST_CANDIDATES = 2**18
+
 #: Places near the corners of a cell, where a border that misses all points of the rule crosses it.
 PROBES = np.full((3, 3), 0.01) + 0.97 * np.eye(3)
 
@@ -180,15 +183,16 @@ class ClippedQuadrature:
         factors, errors = np.zeros(len(receivers)), np.zeros(len(receivers))
         two_sided = self.environment.two_sided[receivers]
         for side in (1.0, -1.0):
-            chosen = np.flatnonzero(self._facing(receivers, sources, side) & ((side > 0) | two_sided))
-            if not len(chosen):
-                continue
-            # A two-sided patch gives half of its power to either side.
-            weights = np.where(two_sided[chosen], 0.5, 1.0)
-            limits = np.broadcast_to(tolerances, factors.shape)[chosen]
-            values, changes = self._side(receivers[chosen], sources[chosen], side, limits)
-            factors[chosen] += weights * values
-            errors[chosen] += weights * changes
+            seen = np.flatnonzero(self._facing(receivers, sources, side) & ((side > 0) | two_sided))
+            step = max(1, MOST_CANDIDATES // len(self.tree.nodes)) if len(seen) else 1
+            for start in range(0, len(seen), step):
+                chosen = seen[start : start + step]
+                # A two-sided patch gives half of its power to either side.
+                weights = np.where(two_sided[chosen], 0.5, 1.0)
+                limits = np.broadcast_to(tolerances, factors.shape)[chosen]
+                values, changes = self._side(receivers[chosen], sources[chosen], side, limits)
+                factors[chosen] += weights * values
+                errors[chosen] += weights * changes
         return factors.clip(0, 1), errors
 
     def _facing(self, receivers, sources, side):

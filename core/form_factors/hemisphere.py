@@ -76,9 +76,14 @@ class SampledRows:
 
 
 def hemisphere_rows(
-    environment: Environment, accuracy: float, seed: int = 0, threads: int = 0, sampling: str = "low_discrepancy"
+    environment: Environment,
+    accuracy: float,
+    seed: int = 0,
+    threads: int = 0,
+    sampling: str = "low_discrepancy",
+    wanted: np.ndarray | None = None,
 ) -> SampledRows:
-    """Form factors of all patches by ray casting.
+    """Form factors of all patches, or of some, by ray casting.
 
     Parameters
     ----------
@@ -90,6 +95,8 @@ def hemisphere_rows(
         Threads of the ray engine; 0 takes all cores. The result does not depend on it.
     sampling : str
         ``low_discrepancy``, or ``random`` for independent rays, whose error falls more slowly.
+    wanted : (n,) bool, optional
+        Patches to cast rays from; the rows of others stay 0. A row does not depend on which others are wanted.
 
     Returns
     -------
@@ -111,7 +118,7 @@ def hemisphere_rows(
     count = len(environment)
     matrix, escaped, errors = np.zeros((count, count)), np.zeros(count), np.zeros(count)
     samples = np.zeros(count, dtype=np.int64)
-    radiating = np.flatnonzero(environment.areas > 0)
+    radiating = np.flatnonzero((environment.areas > 0) & (True if wanted is None else wanted))
     rays = np.zeros(count, dtype=np.int64)
     rays[radiating] = FIRST_RAYS
     pending, rounds, cast = radiating, 0, 0
@@ -123,8 +130,8 @@ def hemisphere_rows(
                 matrix[rows], escaped[rows] = shares[:, :-1], shares[:, -1]
                 errors[rows], samples[rows] = row_errors, size * REPETITIONS
         pending = pending[(errors[pending] > accuracy) & (rays[pending] < MOST_RAYS)]
-        wanted = rays[pending] * np.clip((errors[pending] / accuracy) ** (1 / FALLS[sampling]), 2, 64)
-        rays[pending] = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 2))), MOST_RAYS).astype(np.int64)
+        more = rays[pending] * np.clip((errors[pending] / accuracy) ** (1 / FALLS[sampling]), 2, 64)
+        rays[pending] = np.minimum(2 ** np.ceil(np.log2(np.maximum(more, 2))), MOST_RAYS).astype(np.int64)
         rounds += 1
     if len(radiating) and errors.max() > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: ray limit", errors.max(), accuracy)

@@ -39,11 +39,12 @@ def lines_under(plates):
 
 def test_a_plate_in_two_parts_makes_the_lines_of_the_whole():
     whole = np.array([[0.3, 0.3], [0.7, 0.3], [0.7, 0.6], [0.3, 0.6]])
-    left, right = (whole.clip(low, high) for low, high in (([0.3, 0], [0.5, 1]), ([0.5, 0], [0.7, 1])))
-    one, two = (lines_under([(loop, 0.5) for loop in loops]) for loops in ([whole], [left, right]))
-    # The parts have two corners more, the ends of the cut, each with the two edges of the ceiling that run across.
-    unique = [np.unique(np.round(np.column_stack((a.normals, a.offsets)), 9), axis=0) for a in (one, two)]
-    assert {tuple(row) for row in unique[0]} <= {tuple(row) for row in unique[1]}
-    cut = two.offsets[np.abs(two.normals[:, 0]) > 0.999]
-    assert one.counts[0] > 0 and (np.abs(two.normals[:, 2]) < 1e-12).all()
-    assert len(unique[1]) <= len(unique[0]) + 8 and len(cut) > 0
+    left, right = (whole.clip(low, high) for low, high in (([0.3, 0], [0.55, 1]), ([0.55, 0], [0.7, 1])))
+    one, two = (
+        np.round(np.column_stack((lines.normals, lines.offsets)), 9) + 0.0
+        for lines in (lines_under([(loop, 0.5) for loop in loops]) for loops in ([whole], [left, right]))
+    )
+    assert len(one) >= 8 and {tuple(row) for row in one} <= {tuple(row) for row in two}
+    # The cut's two ends are corners, and each makes a line with the ceiling's edge at x = 1, at 0.4 from the middle; the
+    # cut itself, seen through the ceiling's two corners there, would make two more.
+    assert ((np.abs(two[:, 0]) > 0.999) & (np.abs(np.abs(two[:, 3]) - 0.4) < 1e-6)).sum() == 2

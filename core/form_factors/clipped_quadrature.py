@@ -3,14 +3,16 @@
 At a point, the visible parts of the other polygon are found exactly (`visible_fragments`) and each has its factor in
 closed form. What is left is one smooth integral over the receiver, with kinks where shadows begin: cells of it are cut
 along `critical_lines` or divided until what a division changes adds up to less than the accuracy. So occlusion costs no
-noise: errors of 1e-6 take as little as a second on a pair, where rays would need 1e9.
+noise: errors of 1e-6 take as little as a second on a pair, where rays would need 1e9. Cells from which no blocker is
+met, and pairs of patches that none can part, take the contour integral and are exact.
 
 Choose it (``visibility="bsp"``) for pairs, points and small environments; a point's result is exact to rounding. For n
-patches it costs n^2 integrals, each proportional to the blockers between: some 10 ms a pair at an accuracy of 1e-4.
+patches it costs n^2 integrals, each proportional to the blockers between: some 4 ms a pair at an accuracy of 1e-4.
 
 Where all points of a cell see alike, all or nothing, a division changes nothing, and an agreement of 0 with 0 proves
 nothing either. So the part of a receiver behind the source's plane is cut off first, planes of blockers are cut along
-before any change counts, and places near a cell's corners must see what its points see.
+before any change counts, and places near a cell's corners must see what its points see. Changes may cancel, so a cell's
+roughness counts, too. Memory stays near 200 MB whatever the number of pairs: they are worked on some at a time.
 
 Limits: shadows of a blocker much smaller than the accuracy's share of the receiver may fall between sample points.
 """
@@ -18,7 +20,6 @@ Limits: shadows of a blocker much smaller than the accuracy's share of the recei
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from ..visibility.outlines import Outlines
 from ..visibility.shafts import shaft_candidates
 from ..visibility.visible_fragments import FragmentClipper, fragment_factors
 from ..visibility.zbuffer import ranges
+from .clipped_cells import EXACT_SHARE, Cells, Pairs, Totals, affordable
 from .contour_integral import ROUNDING, contour_sums
 from .critical_lines import critical_lines
 from .hemisphere import SampledRows
@@ -51,10 +53,6 @@ CELL_TO_BLOCKER = 2.0
 LARGEST_SHADED = 1 / 12
 NEGLIGIBLE = 8
 
-#: Error per change that a division makes. On boxes with a plate or a cube between, real errors were up to 3.5 times
-#: the sum of the changes, where an early division agreed by luck.
-SAFETY = 4
-
 #: What a cell's values deviate from a parabola counts, by this share, as a change at least: it does not cancel, as the
 #: changes of several cells may. With it no factor of four reference enclosures, in either direction, errs by more than
 #: 0.6 of what is asked for (1e-3, 1e-4, 1e-5), where some had erred by twice that.
@@ -66,10 +64,6 @@ RISK = 0.1
 
 #: Part of a cell that a cut may leave in one piece while the change it makes counts as an estimate of the error.
 LARGEST_PART = 0.9
-
-#: Share of the tolerance that cells from which nothing is hidden may take, of which there may be many: their contour
-#: integrals are nearly as cheap with many digits as with few.
-EXACT_SHARE = 0.01
 
 #: Cells pending above which the pairs that they belong to are worked on one half after the other: about 100 MB.
 MOST_ACTIVE = 2**15
@@ -85,61 +79,6 @@ MIXED, HIDDEN, LIT = 0, 1, 2
 SAME = 1e-9
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Pairs to be integrated, p of them, in the unit frame.
-
-    Attributes
-    ----------
-    normals : (p, 3) float64
-        Of the receivers' sides that are looked from.
-    sources : (p,) int64
-    tolerances : (p,) float64
-    receiver_areas : (p,) float64
-    looked_at : (p, k, 3) float64
-        Parts of the sources before the receivers' planes.
-    perimeters : (p,) float64
-        Of these.
-    """
-
-    normals: np.ndarray
-    sources: np.ndarray
-    tolerances: np.ndarray
-    receiver_areas: np.ndarray
-    looked_at: np.ndarray
-    perimeters: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Cells:
-    """Triangles (c, 3, 3) of receivers, their pairs, parts of their receivers' areas, pieces that may shade them."""
-
-    corners: np.ndarray
-    pairs: np.ndarray
-    shares: np.ndarray
-    blockers: np.ndarray
-
-    def take(self, rows: np.ndarray) -> _Cells:
-        """Some of the cells."""
-        return _Cells(self.corners[rows], self.pairs[rows], self.shares[rows], self.blockers[rows])
-
-
-class _Totals:
-    """What has been added up of p integrals: factors, errors, what errors may still be made, and cells looked at."""
-
-    def __init__(self, tolerances: np.ndarray):
-        self.factors, self.errors = np.zeros(len(tolerances)), np.zeros(len(tolerances))
-        self.budgets = tolerances * (1 - 2 * EXACT_SHARE) / SAFETY
-        self.spent = np.zeros(len(tolerances))
-
-    def add(self, pairs: np.ndarray, factors: np.ndarray, changes: np.ndarray) -> None:
-        """Cells whose integral is known up to what its last division changed."""
-        self.factors += np.bincount(pairs, factors, len(self.factors))
-        paid = np.bincount(pairs, changes, len(self.factors))
-        self.errors += SAFETY * paid
-        self.budgets = np.maximum(self.budgets - paid, 0)
 
 
 class ClippedQuadrature:
@@ -208,7 +147,7 @@ class ClippedQuadrature:
 
     def _side(self, receivers, sources, side, tolerances):
         """Factors and errors (p,) of one side of the receivers."""
-        totals = _Totals(tolerances)
+        totals = Totals(tolerances)
         pairs, cells, lines = self._begin(receivers, sources, side, tolerances)
         free = self._is_free(cells, pairs)
         exact = [cells.take(free)]
@@ -236,9 +175,9 @@ class ClippedQuadrature:
         totals = np.bincount(task, areas(triangles[rows]), len(receivers))
         corners, task = self._lit(triangles[rows], task, sources)
         perimeters = np.linalg.norm(np.roll(looked_at, -1, axis=1) - looked_at, axis=2).sum(axis=1)
-        pairs = _Pairs(normals, sources, tolerances, totals, looked_at, perimeters)
+        pairs = Pairs(normals, sources, tolerances, totals, looked_at, perimeters)
         blockers = shaft_candidates(tree, corners, looked_at[task], between[task])
-        return pairs, _Cells(corners, task, areas(corners) / totals[task], blockers), lines
+        return pairs, Cells(corners, task, areas(corners) / totals[task], blockers), lines
 
     def _is_free(self, cells, pairs):
         """(c,) bool: cells from which nothing can block the source, and whose contour integral has the digits."""
@@ -275,7 +214,7 @@ class ClippedQuadrature:
             corners, parents, parts, strongly = divide(cells.corners, cells.pairs, lines)
             owners = cells.pairs[parents]
             blockers = shaft_candidates(self.tree, corners, pairs.looked_at[owners], cells.blockers[parents])
-            children = _Cells(corners, owners, parts * cells.shares[parents], blockers)
+            children = Cells(corners, owners, parts * cells.shares[parents], blockers)
             finer, most, alike, rough = self._means(children, pairs)
             rough = np.bincount(parents, rough * children.shares, len(cells.pairs))
             finer, most = finer * children.shares, most * children.shares
@@ -286,7 +225,7 @@ class ClippedQuadrature:
             unsure |= self._missed(children, pairs, most, alike, ~unsure)
             coarse = np.zeros(len(cells.pairs), dtype=bool)
             np.logical_or.at(coarse, parents, unsure)
-            done = _affordable(cells.pairs, np.where(coarse, np.inf, changes), totals.budgets / 2)
+            done = affordable(cells.pairs, np.where(coarse, np.inf, changes), totals.budgets / 2)
             done |= (totals.spent > MOST_CELLS)[cells.pairs]
             totals.add(cells.pairs[done], sums[done], changes[done])
             rest = np.flatnonzero(~done[parents])
@@ -394,19 +333,6 @@ def clipped_rows(environment, visibility, accuracy, seed=0, threads=0) -> Sample
     return SampledRows(
         matrix, escaped, errors, np.ones(count, dtype=np.int64), quadrature.views, np.minimum(losses, 0.01)
     )
-
-
-def _affordable(task, changes, budgets):
-    """(c,) bool: the cells of each task with the smallest changes, as many as its budget pays for."""
-    order = np.lexsort((changes, task))
-    sums = np.cumsum(np.where(np.isfinite(changes), changes, 0)[order])
-    sorted_task = task[order]
-    begins = np.searchsorted(sorted_task, sorted_task)
-    before = np.where(begins > 0, sums[begins - 1], 0.0)
-    result = np.empty(len(task), dtype=bool)
-    # Sums over all tasks before it round: an exact 0 stays affordable whatever they are.
-    result[order] = (sums - before <= budgets[sorted_task]) | (changes[order] == 0)
-    return result & np.isfinite(changes)
 
 
 def _heights(loops, normals, others):

@@ -45,6 +45,6 @@ def test_a_plate_in_two_parts_makes_the_lines_of_the_whole():
         for lines in (lines_under([(loop, 0.5) for loop in loops]) for loops in ([whole], [left, right]))
     )
     assert len(one) >= 8 and {tuple(row) for row in one} <= {tuple(row) for row in two}
-    # The cut's two ends are corners, and each makes a line with the ceiling's edge at x = 1, at 0.4 from the middle; the
-    # cut itself, seen through the ceiling's two corners there, would make two more.
+    # The cut's two ends are corners, and each makes a line with the ceiling's edge at x = 1, at 0.4 from the middle;
+    # the cut itself, seen through the ceiling's two corners there, would make two more.
     assert ((np.abs(two[:, 0]) > 0.999) & (np.abs(np.abs(two[:, 3]) - 0.4) < 1e-6)).sum() == 2

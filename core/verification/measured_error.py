@@ -1,9 +1,11 @@
 """Root-mean-square errors from answers that are noisy themselves, with the interval that holds the true one.
 
 Of two independent answers a and b for the same place, whose noise has mean 0, the product (v - a)(v - b) has the square
-of the error of v as its mean: the noise does not add to it, as it would to the square of a difference. The interval is
-that of a bootstrap over places (Efron and Tibshirani 1993, "An Introduction to the Bootstrap", chapter 14), drawn
-within strata.
+of the error of v as its mean: the noise does not add to it, as it would to the square of a difference.
+
+The interval is that of a bootstrap over places within their strata, in units of each resample's own standard error
+(bootstrap-t: Efron and Tibshirani 1993, "An Introduction to the Bootstrap", section 12.5). Errors of a bake have a long
+tail; of plain quantiles 3 to 11 in 100 intervals missed the truth on a Cornell box, of these 4 to 8.
 """
 
 from __future__ import annotations
@@ -60,43 +62,50 @@ def measure(
         raise ValueError("no place to measure at")
     reference = halves.mean(axis=0)
     known = np.isfinite(values)
-    products = np.where(known, (values - halves[0]) * (values - halves[1]), 0)
-    channels = known.sum(axis=1) / values.shape[1]
-    rows = np.stack(
-        [
-            weights * products.mean(axis=1),
-            weights * np.where(known, reference, 0).mean(axis=1),
-            weights * channels,
-        ]
-    )
-    noise = np.where(known, (halves[0] - halves[1]) / 2, 0)
+    products = np.where(known, (values - halves[0]) * (values - halves[1]), 0).mean(axis=1)
+    light = np.where(known, reference, 0).mean(axis=1)
+    noise = (np.where(known, (halves[0] - halves[1]) / 2, 0) ** 2).mean(axis=1)
+    total = (weights * known.mean(axis=1)).sum()
+    rows = weights * np.stack([products, light]) / total
+    sums = rows.sum(axis=1)
+    if not sums[1] > 0:
+        return MeasuredError(0.0, 0.0, 0.0, 0.0, len(values))
+    square, scatter = _square_and_scatter(sums[:, None], _spread(rows, strata)[..., None])
     generator = np.random.default_rng(seed)
-    samples = np.concatenate(
-        [_ratio(_resampled(rows, strata, min(BLOCK, RESAMPLES - k), generator)) for k in range(0, RESAMPLES, BLOCK)]
-    )
+    blocks = [min(BLOCK, RESAMPLES - start) for start in range(0, RESAMPLES, BLOCK)]
+    pulls = np.concatenate([_pulls(rows, strata, square, count, generator) for count in blocks])
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(samples, [tail, 1 - tail])
-    mean = rows[1].sum() / rows[2].sum()
-    scatter = np.sqrt((weights * (noise**2).mean(axis=1)).sum() / rows[2].sum())
-    error = float(_ratio(rows.sum(axis=1)[:, None])[0])
-    # The estimate may fall outside where everything hangs on one place.
-    return MeasuredError(
-        error, min(float(low), error), max(float(high), error), float(scatter / mean) if mean > 0 else 0.0, len(values)
-    )
+    low, high = np.quantile(pulls, [1 - tail, tail])
+    ends = np.array([square[0], square[0] - low * scatter[0], square[0] - high * scatter[0]])
+    error, low, high = (float(end) for end in np.sqrt(np.maximum(ends, 0)))
+    remaining = np.sqrt((weights * noise).sum() / total) / sums[1]
+    return MeasuredError(error, min(low, error), max(high, error), float(remaining), len(values))
 
 
-def _ratio(sums: np.ndarray) -> np.ndarray:
-    """(k,) relative errors from sums (3, k) of products, light and weights."""
-    products, light, weights = sums
-    means = np.maximum(products, 0) / np.maximum(weights, 1e-300)
-    return np.sqrt(means) * weights / np.where(light > 0, light, np.inf)
+def _square_and_scatter(sums: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared relative errors (k,) from sums (2, k) of products and light, and their standard errors from the sums'
+    covariances (2, 2, k), to first order."""
+    products, light = sums
+    along = np.stack([1 / light**2, -2 * products / light**3])
+    return products / light**2, np.sqrt(np.maximum(np.einsum("ik,ijk,jk->k", along, spread, along), 0))
 
 
-def _resampled(rows: np.ndarray, strata: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
-    """(3, count) sums over as many places again, drawn anew within each stratum."""
-    sums = np.zeros((len(rows), count))
+def _spread(rows: np.ndarray, strata: np.ndarray) -> np.ndarray:
+    """Covariance (2, 2) of the sums of rows (2, n) whose columns were drawn evenly within strata."""
+    parts = [rows[:, strata == stratum] for stratum in np.unique(strata)]
+    return np.sum([part.shape[1] * np.cov(part) for part in parts if part.shape[1] > 1] or [np.zeros((2, 2))], axis=0)
+
+
+def _pulls(rows, strata, square, count: int, generator: np.random.Generator) -> np.ndarray:
+    """(count,) differences of resampled squared errors from that of all, in standard errors of their own."""
+    sums, spread = np.zeros((2, count)), np.zeros((2, 2, count))
     for stratum in np.unique(strata):
         members = np.nonzero(strata == stratum)[0]
-        drawn = members[generator.integers(len(members), size=(count, len(members)))]
-        sums += rows[:, drawn].sum(axis=2)
-    return sums
+        drawn = rows[:, members[generator.integers(len(members), size=(count, len(members)))]]
+        part = drawn.sum(axis=2)
+        sums += part
+        if len(members) > 1:
+            second = np.einsum("ikn,jkn->ijk", drawn, drawn)
+            spread += (second * len(members) - part[:, None] * part[None]) / (len(members) - 1)
+    again, scatter = _square_and_scatter(np.maximum(sums, [[-np.inf], [1e-300]]), spread)
+    return np.where(scatter > 0, (again - square) / np.where(scatter > 0, scatter, 1), 0)

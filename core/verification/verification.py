@@ -26,9 +26,10 @@ from ..visibility.embree import RayPool
 from .light_paths import PathScene, direct_reference, followed_light
 from .measured_error import MeasuredError, measure
 
-#: Places compared, and paths at most from each receiver behind them.
+#: Places compared, and paths at most from each receiver behind them; and how few of either make sense.
 PLACES = 400
 PATHS = 16384
+LEAST = 16
 
 #: Paths of one round. No further round follows once the reference's own noise is below the error: noise as large adds a
 #: twentieth to the width of the interval's half that places alone would leave.
@@ -56,7 +57,8 @@ class Verification:
 
 @dataclass(frozen=True)
 class StoredColors:
-    """What a mesh stores: `values` (n, 3) in W/(m2 sr) at its corners, or at its vertices with `at_vertices`."""
+    """What a mesh stores: `values` (n, 3) in W/(m2 sr) at its corners, or at its vertices with `at_vertices`; NaN where
+    a value was cut off and does not tell the light."""
 
     values: np.ndarray
     at_vertices: bool
@@ -121,8 +123,8 @@ def verify_steps(
     """
     if bake_type == "emission":
         raise SettingsError("Emission is read from the materials and has no error to measure: bake another type")
-    if places < 16 or paths < 16:
-        raise SettingsError(f"At least 16 places and 16 paths are needed, not {places} and {paths}")
+    if places < LEAST or paths < LEAST:
+        raise SettingsError(f"At least {LEAST} places and paths are needed, not {places} and {paths}")
     yield Progress(0.0, "Preparing the reference")
     path_scene = PathScene.of(scene)
     with RayPool(threads) as pool:
@@ -165,7 +167,8 @@ def _measured(scene, receivers, stored, bake_type, chosen: _Places, lit: _Lit, s
     usable = ~buried & np.isfinite(values).any(axis=1)
     if not usable.any():
         raise EmptySceneError(
-            "No place to measure at: what was baked lies inside solids, or reflects too little to show its light"
+            "No place to measure at: what was baked lies inside solids, reflects too little to show its light, or was "
+            "cut off at white"
         )
     measured = measure(values[usable], halves[:, usable], chosen.weights[usable], chosen.strata[usable], seed)
     return measured, int(buried.sum())

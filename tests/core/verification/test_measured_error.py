@@ -31,10 +31,10 @@ def test_its_own_noise_is_told():
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_interval_holds_the_truth(heavy, noise):
     inside = sum(
-        m.low <= 0.05 <= m.high for m in (measure(*places(s, noise=noise, heavy=heavy), s) for s in range(200))
+        m.low <= 0.05 <= m.high for m in (measure(*places(s, noise=noise, heavy=heavy), s) for s in range(100))
     )
-    # 95 % of 200, less four standard errors of that count.
-    assert inside >= 190 - 4 * np.sqrt(200 * 0.95 * 0.05)
+    # 95 % of 100, less four standard errors of that count.
+    assert inside >= 95 - 4 * np.sqrt(100 * 0.95 * 0.05)
 
 
 def test_what_is_right_may_be_right():

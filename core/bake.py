@@ -24,14 +24,13 @@ from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .form_factors.cached_hemispheres import HitTable, WallSides, gather
 from .gathering.burial import unbury
 from .gathering.indirect_light import indirect_light, uncut_edges
+from .gathering.placing import place_receivers
 from .gathering.probe import probe_error
-from .gathering.receivers import Receivers, build_receivers
-from .gathering.snapping import snap_to_surface
 from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
 from .progress import Progress, finish, shared_progress
-from .scene import ReceiverMesh, Scene, Surfaces
+from .scene import Scene, Surfaces
 from .settings import BakeSettings
 from .solvers.patch_checks import check_patches
 from .solvers.patch_solution import PatchSolution
@@ -127,7 +126,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         del surfaces, rows
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
-            receivers = _place_receivers(meshes, model, pool)
+            receivers = place_receivers(meshes, model.tracer, pool)
             stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in meshes]
             del meshes
         if not len(receivers):
@@ -323,18 +322,6 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
     if not broken:
         return []
     return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
-
-
-def _place_receivers(meshes: list[ReceiverMesh], model: _Model, pool: RayPool) -> Receivers:
-    """Receivers of meshes that are in the unit frame already."""
-    receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0))
-    if not any(mesh.is_off_surface for mesh in meshes):
-        return receivers
-    chosen = np.zeros(len(receivers), bool)
-    for mesh, corners in zip(meshes, receivers.corner_receivers, strict=True):
-        if mesh.is_off_surface:
-            chosen[corners[corners >= 0]] = True
-    return snap_to_surface(model.tracer, receivers, chosen, pool)
 
 
 def _statistics(triangles, model, receivers, solution, indirect, rays, error, clock) -> dict:

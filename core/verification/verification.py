@@ -19,7 +19,8 @@ import numpy as np
 
 from ..baked_mesh import BakedMesh
 from ..errors import EmptySceneError, SettingsError
-from ..gathering.receivers import Receivers, build_receivers
+from ..gathering.placing import place_receivers
+from ..gathering.receivers import Receivers
 from ..progress import Progress, shared_progress
 from ..scene import Scene
 from ..visibility.embree import RayPool
@@ -128,7 +129,9 @@ def verify_steps(
     yield Progress(0.0, "Preparing the reference")
     path_scene = PathScene.of(scene)
     with RayPool(threads) as pool:
-        receivers = build_receivers(scene.receivers, path_scene.frame)
+        frame = path_scene.frame
+        meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
+        receivers = place_receivers(meshes, path_scene.tracer, pool)
         if not len(receivers):
             raise EmptySceneError("No vertex with a light to measure: all baked meshes are empty or broken")
         chosen = _draw(scene, receivers, stored, places, np.random.default_rng(seed))

@@ -153,3 +153,14 @@ def test_command_line_refuses_by_name(room, tmp_path, capfd):
     assert main(["verify", str(path), "--places", "3"]) == 2
     assert "--places must be 16 or more" in capfd.readouterr().err
     assert main(["verify"]) == 2
+
+
+def test_mesh_that_a_modifier_reshapes_is_compared_on_its_surface(room):
+    bpy.ops.mesh.primitive_cube_add(size=1.4, location=(0.5, 0.3, 0.1))
+    block = bpy.context.object
+    block.modifiers.new("Round", 'SUBSURF').levels = 3
+    room.select_set(False)
+    bake()
+    bpy.ops.radiosity.verify(places=100)
+    # Its own corners stand beside the lamp, and the surface far below it.
+    assert report()["measured_error_high"] < 0.1

@@ -56,7 +56,7 @@ def measure(
     Raises
     ------
     ValueError
-        If there is no place.
+        If there is no place, or no light at any.
     """
     if not len(values):
         raise ValueError("no place to measure at")
@@ -69,7 +69,7 @@ def measure(
     rows = weights * np.stack([products, light]) / total
     sums = rows.sum(axis=1)
     if not sums[1] > 0:
-        return MeasuredError(0.0, 0.0, 0.0, 0.0, len(values))
+        raise ValueError("no light to relate an error to")
     square, scatter = _square_and_scatter(sums[:, None], _spread(rows, strata)[..., None])
     generator = np.random.default_rng(seed)
     blocks = [min(BLOCK, RESAMPLES - start) for start in range(0, RESAMPLES, BLOCK)]

@@ -173,6 +173,8 @@ def _measured(scene, receivers, stored, bake_type, chosen: _Places, lit: _Lit, s
             "No place to measure at: what was baked lies inside solids, reflects too little to show its light, or was "
             "cut off at white"
         )
+    if not halves[:, usable].any():
+        raise EmptySceneError("No light arrives at any place looked at: there is nothing to relate an error to")
     measured = measure(values[usable], halves[:, usable], chosen.weights[usable], chosen.strata[usable], seed)
     return measured, int(buried.sum())
 
@@ -212,7 +214,7 @@ def _compared(scene: Scene, receivers: Receivers, stored, bake_type: str, chosen
     """Irradiance (n, 3) behind the stored values, (2, n, 3) by reference, and which places lie inside solids."""
     total = lit.halves("lighting")
     light = np.broadcast_to(lit.halves(bake_type), total.shape)
-    dark = total.mean(axis=(0, 2)) < DARK * total.mean()
+    dark = total.mean(axis=(0, 2)) <= DARK * total.mean()
     inside = np.zeros(len(receivers), bool)
     inside[chosen.receivers] = dark & (lit.backs > INSIDE)
     count = len(chosen.rows)

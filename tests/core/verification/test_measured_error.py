@@ -61,6 +61,9 @@ def test_channels_that_say_nothing_are_left_out():
     assert part.error == pytest.approx(whole.error, rel=0.05)
 
 
-def test_no_place():
+def test_no_place_and_no_light():
+    values, halves, weights, strata = places(0)
+    with pytest.raises(ValueError, match="no light"):
+        measure(values, 0 * halves, weights, strata, 0)
     with pytest.raises(ValueError, match="no place"):
         measure(np.empty((0, 3)), np.empty((2, 0, 3)), np.empty(0), np.empty(0, int), 0)

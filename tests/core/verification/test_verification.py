@@ -112,6 +112,12 @@ def test_refusals_name_the_remedy():
     assert verify(black, stored(bake(black), "lighting"), bake_type="lighting").measured.high < 1e-3
 
 
+def test_in_the_dark_there_is_no_relative_error():
+    lit, dark = furnace_box(2), furnace_box(2, emission=0.0)
+    with pytest.raises(EmptySceneError, match="No light arrives"):
+        verify(dark, stored(bake(lit)))
+
+
 def test_broken_vertices_are_not_asked():
     scene = furnace_box(4)
     positions = scene.receivers[0].positions.copy()

@@ -27,6 +27,7 @@ from .gathering.indirect_light import indirect_light, uncut_edges
 from .gathering.probe import probe_error
 from .gathering.receivers import Receivers, build_receivers
 from .gathering.snapping import snap_to_surface
+from .gathering.walled_off import find_walled_off, relight_walled_off
 from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
@@ -128,6 +129,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
             receivers = _place_receivers(meshes, model, pool)
+            walled = find_walled_off(model.tracer, meshes, receivers, model.patches.spacing, pool)
             stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in meshes]
             del meshes
         if not len(receivers):
@@ -159,10 +161,14 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             light = np.concatenate([direct, indirect.irradiance], axis=1)
             del direct
             indirect = replace(indirect, irradiance=None)  # it is in `light` now
+            work = relight_walled_off(solution, walled, light, indirect.buried, plan.penumbra_rays, settings.seed)
+            relit, relit_rays = yield from _told(work, 0.95, 0.96, "Corners behind walls")
             work = unbury(
                 solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
             )
-            light, moved, filled_rays = yield from _told(work, 0.95, 0.97, "Buried vertices")
+            light, filled_rays = yield from _told(work, 0.96, 0.97, "Buried vertices")
+            moved = indirect.buried | relit
+            filled_rays += relit_rays
         yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
             error, probe_rays = probe_error(solution, receivers, light, indirect, moved, plan, settings.seed)

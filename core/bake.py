@@ -24,6 +24,7 @@ from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .form_factors.cached_hemispheres import HitTable, WallSides, gather
 from .gathering.burial import unbury
 from .gathering.indirect_light import indirect_light, uncut_edges
+from .gathering.inner_faces import cover_inner_faces
 from .gathering.probe import probe_error
 from .gathering.receivers import Receivers, build_receivers
 from .gathering.snapping import snap_to_surface
@@ -167,15 +168,19 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
                 solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
             )
             light, filled_rays = yield from _told(work, 0.96, 0.97, "Buried vertices")
-            moved = indirect.buried | relit
-            filled_rays += relit_rays
+            topologies = [mesh for mesh, _ in stored]
+            work = cover_inner_faces(solution, topologies, receivers, light, settings.seed)
+            inner, inner_rays = finish(work)
+            buried = indirect.buried | inner
+            moved = buried | relit
+            filled_rays += relit_rays + inner_rays
         yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
             error, probe_rays = probe_error(solution, receivers, light, indirect, moved, plan, settings.seed)
     rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
     statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
     meshes = [
-        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], indirect.buried)
+        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], buried)
         for (mesh, vertices), corners in zip(stored, receivers.corner_receivers, strict=True)
     ]
     warnings += _receiver_warnings(meshes)

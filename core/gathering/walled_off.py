@@ -8,12 +8,14 @@ Vertex Baking" (2011), kept to where a vertex sample is worst; a mean and not a 
 what was sampled.
 
 Places from which one sees far count for more than those in a gap behind a cupboard: they are the ones that are seen.
+Of a strip that pierces a wall, as the sides of a panel or a beam do, a smaller part is enough if its corner is outdoors
+and the room dark: an end of the strip too dark outdoors is not noticed, one that glows in the room is.
 
-Only faces with a side longer than a patch are looked at, so that fine meshes keep their light and pay nothing. Cost: 16
-short rays per corner of such faces, and `RAYS` for each sample behind a wall.
+Only corners on borders and those of faces with a side longer than a patch are looked at: in the middle of a fine mesh
+a wall is no further off than a small face. Cost: 16 short rays per such corner, and `RAYS` for each sample behind a
+wall.
 
-Limits: a face that two rooms share about equally keeps the light of its corners, as one does of which less than half
-lies behind the wall. A corner of a face that reaches beyond two walls takes a mean over all that is behind the first.
+Limits: a face that two rooms share about equally keeps the light of its corners.
 """
 
 from __future__ import annotations
@@ -23,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..progress import shared_progress
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
@@ -38,6 +39,12 @@ DIVISIONS = 4
 #: Part of a corner's faces, weighed so, that must lie behind a wall.
 MOST = 0.5
 
+#: The same for a strip, a face narrower than a patch but longer, whose corner is outdoors.
+STRIP = 0.1
+
+#: Part of a corner's view that is sky, from which on it is outdoors.
+OUTDOORS = 0.1
+
 #: Height above the face at which corner and samples look for each other, in sizes of the faces around the corner: what
 #: is lower parts no rooms.
 LIFT = 0.04
@@ -46,15 +53,15 @@ LIFT = 0.04
 #: often makes over a face so large.
 APART = 2.0
 
+#: By what factor a room must be darker than outdoors for a strip to take its light.
+GLOW = 20.0
+
 #: Part of the corner's own light below which what is behind the wall is no room, but a hollow that nobody sees.
 HOLLOW = 1e-3
 
 #: Rays over the hemisphere of each sample, and to each light at most. A corner has a dozen samples or more.
 RAYS = 64
 PENUMBRA_RAYS = 16
-
-#: Samples looked from at a time: their rays stay within some tens of MB.
-LOOKS = 65536
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,10 @@ class WalledOff:
         Those that are cut off.
     totals : (k,) float
         Weight of all samples of their faces, in front of the wall and behind it.
+    strips : (k,) bool
+        Whether all their faces are narrower than a patch, and one is longer.
+    places, directions : (k, 3) float32
+        Where they stand themselves, and their normals.
     owners : (s,) int
         Row of `receivers` that each sample belongs to.
     points, normals : (s, 3) float32
@@ -76,6 +87,9 @@ class WalledOff:
 
     receivers: np.ndarray
     totals: np.ndarray
+    strips: np.ndarray
+    places: np.ndarray
+    directions: np.ndarray
     owners: np.ndarray
     points: np.ndarray
     normals: np.ndarray
@@ -88,12 +102,15 @@ class WalledOff:
 
     def only(self, samples: np.ndarray) -> WalledOff:
         """Without the samples that are not among these (s,) bool, and without receivers to which too few are left."""
-        most = self.sums(self.weights * samples) > MOST * self.totals
-        samples = samples & most[self.owners]
+        enough = self.sums(self.weights * samples) > np.where(self.strips, STRIP, MOST) * self.totals
+        samples = samples & enough[self.owners]
         return WalledOff(
-            self.receivers[most],
-            self.totals[most],
-            (np.cumsum(most) - 1)[self.owners[samples]],
+            self.receivers[enough],
+            self.totals[enough],
+            self.strips[enough],
+            self.places[enough],
+            self.directions[enough],
+            (np.cumsum(enough) - 1)[self.owners[samples]],
             self.points[samples],
             self.normals[samples],
             self.weights[samples],
@@ -122,10 +139,13 @@ def find_walled_off(
         Length of a face's side, in unit lengths, from which on it is looked at: a patch's.
     """
     lattice, shares = _lattice()
-    total = np.zeros(len(receivers))
+    total, longest, widest = (np.zeros(len(receivers)) for _ in range(3))
     found = [(np.empty(0, np.int64), np.empty((0, 3), np.float32), np.empty(0))]
     for mesh, who in zip(meshes, receivers.corner_receivers, strict=True):
         for owners, places, sides, areas in _ears(mesh, who, receivers, spacing):
+            lengths = np.linalg.norm(sides, axis=2).max(axis=1)
+            np.maximum.at(longest, owners, lengths)
+            np.maximum.at(widest, owners, 2 * areas / lengths)
             points = (places[:, None] + lattice @ sides).reshape(-1, 3).astype(np.float32)
             weights = (areas[:, None] * shares).ravel()
             owners = np.repeat(owners, len(shares))
@@ -133,8 +153,12 @@ def find_walled_off(
             hidden = _hidden(tracer, receivers, owners, points, pool)
             found.append((owners[hidden], points[hidden], weights[hidden]))
     owners, points, weights = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    normals = receivers.normals[owners]
-    walled = WalledOff(np.arange(len(total)), total, owners, points, normals, weights).only(np.ones(len(owners), bool))
+    strips = (longest > spacing) & (widest < spacing)
+    who = np.arange(len(receivers))
+    walled = WalledOff(
+        who, total, strips, receivers.points, receivers.normals, owners, points, receivers.normals[owners], weights
+    )
+    walled = walled.only(np.ones(len(owners), bool))
     reach = np.float32(LIFT) * receivers.sizes[walled.receivers[walled.owners], None] + np.float32(4 * OFFSET)
     ends = -reach * walled.normals
     # An ear of a face with more corners may hang over where the face is not.
@@ -142,7 +166,7 @@ def find_walled_off(
 
 
 def _ears(mesh: ReceiverMesh, who: np.ndarray, receivers: Receivers, spacing: float):
-    """Blocks of corners of large faces that do not reach inward: receivers (n,), places (n, 3), the two sides
+    """Blocks of the corners looked at, but those that reach inward: receivers (n,), places (n, 3), the two sides
     (n, 2, 3) and the areas (n,) between them."""
     following, previous = next_corners(mesh), previous_corners(mesh)
     for start in range(0, len(who), BLOCK):
@@ -182,33 +206,32 @@ def relight_walled_off(
     bool were given it, and the rays it took. The array given is changed. What is `buried` (r,) is left alone.
     """
     walled = walled.only(~buried[walled.receivers[walled.owners]])
-    count = len(walled.owners)
-    arriving, openness = np.empty((count, 6), np.float32), np.empty(count)
-    free, spent = np.empty(count, bool), 0
-    for start in range(0, count, LOOKS):
-        part = slice(start, min(start + LOOKS, count))
-        work = look(
-            solution,
-            walled.points[part],
-            walled.normals[part],
-            np.arange(count)[part],
-            RAYS,
-            min(penumbra_rays, PENUMBRA_RAYS),
-            seed,
-        )
-        looked = yield from shared_progress(work, part.start / count, part.stop / count)
-        arriving[part], free[part], spent = looked.light, looked.free, spent + looked.rays
-        # Of the sky one sees infinitely far; beyond the scene's own size that makes no difference.
-        openness[part] = np.minimum(looked.distances, 1)
-    # What lies inside solids is on neither side.
-    seen = walled.totals - walled.sums(walled.weights * ~free)
-    most = walled.sums(walled.weights * free) > MOST * seen
-    weights = walled.weights * free * openness
-    mean = np.stack([walled.sums(weights * arriving[:, k]) for k in range(6)], axis=1)
-    mean /= np.maximum(walled.sums(weights), 1e-300)[:, None]
-    own, behind = light[walled.receivers].sum(axis=1), mean.sum(axis=1)
-    other = most & ((behind > APART * own) | ((own > APART * behind) & (behind > HOLLOW * own)))
+    count, here = len(walled.owners), walled.receivers
+    points = np.concatenate([walled.points, walled.places])
+    normals = np.concatenate([walled.normals, walled.directions])
+    work = look(solution, points, normals, np.arange(len(points)), RAYS, min(penumbra_rays, PENUMBRA_RAYS), seed)
+    seen = yield from work
+    arriving, free, outdoors = seen.light[:count], seen.free[:count], seen.outside >= OUTDOORS
+    behind, own = arriving.sum(axis=1), light[here].sum(axis=1)[walled.owners]
+    darker = free & (own > APART * behind) & (behind > HOLLOW * own)
+    brighter = free & (behind > APART * own)
+    # A strip is not to glow in a dark room.
+    brighter &= ~(walled.strips[walled.owners] & outdoors[:count] & (own > HOLLOW * behind))
+    glowing = darker & (own > GLOW * behind)
+    # Of the sky one sees infinitely far; beyond the scene's own size that makes no difference.
+    openness = np.minimum(seen.distances, 1)
+    weights = walled.weights * free * openness[:count]
+    # In front of the wall it is as open as at the corner.
+    totals = walled.sums(weights) + (walled.totals - walled.sums(walled.weights)) * openness[count:]
+    outdoors = walled.strips & outdoors[count:]
     moved = np.zeros(len(light), bool)
-    moved[walled.receivers[other]] = True
-    light[walled.receivers[other]] = mean[other]
-    return moved, spent
+    for samples, enough in (
+        (brighter, walled.sums(weights * brighter) > MOST * totals),
+        (darker, walled.sums(weights * darker) > MOST * totals),
+        (glowing, outdoors & (walled.sums(walled.weights * glowing) > STRIP * walled.totals)),
+    ):
+        given = np.flatnonzero(enough)
+        sums = np.stack([walled.sums(weights * samples * arriving[:, k]) for k in range(6)], axis=1)
+        light[here[given]] = sums[given] / walled.sums(weights * samples)[given, None]
+        moved[here[given]] = True
+    return moved, seen.rays

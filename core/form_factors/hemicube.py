@@ -185,5 +185,9 @@ def hemicube_rows(
     SettingsError
         If the resolution is below 2 or no whole number.
     """
-    cubes = [Hemicube.of(resolution + more) for more in range(REPETITIONS)]
-    return projection_rows(environment, cubes, accuracy, seed)
+    return projection_rows(environment, hemicubes(resolution), accuracy, seed)
+
+
+def hemicubes(resolution: int = RESOLUTION) -> list[Hemicube]:
+    """Cubes of the independent repetitions, each of one pixel more than the one before."""
+    return [Hemicube.of(resolution + more) for more in range(REPETITIONS)]

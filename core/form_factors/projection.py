@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -90,23 +91,8 @@ def projection_rows(environment: Environment, cameras: Sequence[Camera], accurac
         pixel has met; the camera's lost share is added. `rays` is 0.
     """
     count = len(environment)
-    matrix, escaped, errors = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    samples = np.zeros(count, dtype=np.int64)
-    pending = np.flatnonzero(environment.areas > 0)
     lost = max(camera.lost for camera in cameras)
-    scene = _Scene(environment, cameras)
-    levels = np.full(count, _first_level(len(pending) * len(cameras), accuracy))
-    for number in range(ROUNDS):
-        for level in np.unique(levels[pending]):
-            part = pending[levels[pending] == level]
-            matrix[part], escaped[part], errors[part], samples[part] = scene.rows(part, int(level), (seed, number))
-        pending = pending[(errors[pending] > accuracy) & (levels[pending] < MOST_LEVEL)]
-        # The growth that the measured error asks for; Fibonacci numbers grow by the golden ratio with each level.
-        growth = np.log(errors[pending] / accuracy) / FALL
-        steps = np.ceil(growth / np.log(1 + GOLDEN)).clip(1, MOST_STEPS).astype(np.int64)
-        levels[pending] = np.minimum(levels[pending] + steps, MOST_LEVEL)
-        if not len(pending):
-            break
+    matrix, escaped, errors, samples = ProjectedRows(environment, cameras).refined(np.arange(count), accuracy, seed)
     if errors.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: limit of points", errors.max(), accuracy)
     return SampledRows(
@@ -132,14 +118,50 @@ def facing_sides(points: np.ndarray, environment: Environment, patches: np.ndarr
     return (points @ normals.T > np.einsum("ni,ni->n", normals, centroids)) | environment.two_sided[patches]
 
 
-class _Scene:
-    """Patches and the camera that looks at them."""
+class ProjectedRows:
+    """Patches and the cameras that look at them from receivers: the patches themselves, or others of `of_receivers`."""
 
     def __init__(self, environment: Environment, cameras: Sequence[Camera]):
-        self.environment = environment
+        self.environment = self.receivers = environment
         self.cameras = cameras
         self.loops = Loops.of(environment)
         self.points = PatchPoints(environment)
+        self.names = self.own = np.arange(len(environment))
+
+    def of_receivers(self, receivers: Environment, names: np.ndarray, own: np.ndarray) -> ProjectedRows:
+        """The same patches as seen from other polygons, whose random shifts go by their `names` (r,) int.
+
+        `own` (r,) int is the patch that each lies on, and does not see.
+        """
+        other = copy(self)
+        other.receivers, other.points = receivers, PatchPoints(receivers)
+        other.names, other.own = names, own
+        return other
+
+    def refined(self, rows: np.ndarray, accuracy: float, seed: int):
+        """Factors (r, n), escaped shares, errors and numbers of cameras (r,) of some receivers.
+
+        A row does not depend on which others are asked for.
+        """
+        matrix, escaped = np.zeros((len(rows), len(self.environment))), np.zeros(len(rows))
+        errors, samples = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        pending = np.flatnonzero(self.receivers.areas[rows] > 0)
+        radiating = int((self.environment.areas > 0).sum())
+        levels = np.full(len(rows), _first_level(radiating * len(self.cameras), accuracy))
+        for number in range(ROUNDS):
+            for level in np.unique(levels[pending]):
+                part = pending[levels[pending] == level]
+                matrix[part], escaped[part], errors[part], samples[part] = self.rows(
+                    rows[part], int(level), (seed, number)
+                )
+            pending = pending[(errors[pending] > accuracy) & (levels[pending] < MOST_LEVEL)]
+            # The growth that the measured error asks for; Fibonacci numbers grow by the golden ratio with each level.
+            growth = np.log(errors[pending] / accuracy) / FALL
+            steps = np.ceil(growth / np.log(1 + GOLDEN)).clip(1, MOST_STEPS).astype(np.int64)
+            levels[pending] = np.minimum(levels[pending] + steps, MOST_LEVEL)
+            if not len(pending):
+                break
+        return matrix, escaped, errors, samples
 
     def rows(self, rows: np.ndarray, level: int, seed: tuple[int, int]):
         """Mean factors (r, n), escaped shares (r,), errors (r,) and cameras (r,) with lattices of a level."""
@@ -151,16 +173,22 @@ class _Scene:
         length = max(1, at_once // len(table))
         for repetition, camera in enumerate(self.cameras):
             # Drawn for all patches, so that a row's points do not depend on which others are computed.
-            shifts = np.random.default_rng((*seed, repetition)).random((count, 3))[rows]
+            names = self.names[rows]
+            shifts = np.random.default_rng((*seed, repetition)).random((self.names.max() + 1, 3))[names]
             for start in range(0, len(rows), length):
                 part = slice(start, start + length)
                 which, points, weights = self.points(rows[part], fold(table + shifts[part, None, :2]))
+                # Numbered within each row, so that it does not depend on the others.
+                places = np.arange(len(which)) - np.searchsorted(which, which)
                 # Angles advance by the golden ratio from point to point.
-                turns = 2 * np.pi * (shifts[part][which, 2] + np.arange(len(which)) * GOLDEN)
+                turns = 2 * np.pi * (shifts[part][which, 2] + places * GOLDEN)
                 shares = np.zeros_like(total[part])
                 for first in range(0, len(which), at_once):
                     chunk = slice(first, first + at_once)
-                    self._add(camera, shares, rows[part], which[chunk], points[chunk], weights[chunk], turns[chunk])
+                    # Repetitions begin on either side in turn: their points may be odd in number.
+                    back = self.receivers.two_sided[rows[part]][which[chunk]] & ((places[chunk] + repetition) % 2 == 1)
+                    views = points[chunk], weights[chunk], turns[chunk], back
+                    self._add(camera, shares, rows[part], which[chunk], *views)
                 total[part] += shares
                 squares[part] += shares * shares
         mean = total / len(self.cameras)
@@ -169,16 +197,15 @@ class _Scene:
         # A patch that no pixel met may still have up to a pixel's share at one of the points.
         unseen = max(camera.deltas.max() for camera in self.cameras) / cameras
         factors, escaped = mean[:, :-1].copy(), mean[:, -1]
-        factors[np.arange(len(rows)), rows] = 0
+        factors[np.arange(len(rows)), self.own[rows]] = 0
         errors = np.sqrt(_steadied(variance[:, :-1], factors).max(axis=1, initial=0))
         return factors, escaped, np.maximum(errors, unseen), cameras
 
-    def _add(self, camera, shares, rows, which, points, weights, turns):
+    def _add(self, camera, shares, rows, which, points, weights, turns, back):
         """Add to `shares` (r, n + 1) what cameras at some points see, last column what meets no radiating side."""
         environment = self.environment
-        normals = environment.normals[rows[which]]
+        normals = self.receivers.normals[rows[which]]
         # Every other point of a two-sided patch looks from its back, at double weight either way in the mean.
-        back = environment.two_sided[rows[which]] & (np.arange(len(which)) % 2 == 1)
         normals = np.where(back[:, None], -normals, normals)
         # All points of a patch's side have one tangent plane.
         planes = np.unique(2 * which + back, return_index=True)[1]

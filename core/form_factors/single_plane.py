@@ -174,6 +174,10 @@ def single_plane_rows(
     SettingsError
         If the resolution or the lost share is out of range.
     """
+    return projection_rows(environment, single_planes(accuracy, resolution, lost), accuracy, seed)
+
+
+def single_planes(accuracy: float, resolution: int = RESOLUTION, lost: float | None = None) -> list[SinglePlane]:
+    """Planes of the independent repetitions, each of one proxel more along a side than the one before."""
     lost = LOST_PART * accuracy if lost is None else lost
-    planes = [SinglePlane.of(lost, resolution + more) for more in range(REPETITIONS)]
-    return projection_rows(environment, planes, accuracy, seed)
+    return [SinglePlane.of(lost, resolution + more) for more in range(REPETITIONS)]

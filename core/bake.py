@@ -22,10 +22,11 @@ from .discretization.patch_colors import patch_colors
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .form_factors.cached_hemispheres import HitTable, WallSides, gather
-from .gathering.burial import unbury
 from .gathering.indirect_light import indirect_light, uncut_edges
+from .gathering.misplaced import mend_misplaced
 from .gathering.placing import place_receivers
 from .gathering.probe import probe_error
+from .gathering.walled_off import find_walled_off
 from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
@@ -127,6 +128,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
             receivers = place_receivers(meshes, model.tracer, pool)
+            walled = find_walled_off(model.tracer, meshes, receivers, model.patches.spacing, pool)
             stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in meshes]
             del meshes
         if not len(receivers):
@@ -158,17 +160,17 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             light = np.concatenate([direct, indirect.irradiance], axis=1)
             del direct
             indirect = replace(indirect, irradiance=None)  # it is in `light` now
-            work = unbury(
-                solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
+            work = mend_misplaced(
+                solution, receivers, walled, [mesh for mesh, _ in stored], light, indirect.buried, plan, settings.seed
             )
-            light, moved, filled_rays = yield from _told(work, 0.95, 0.97, "Buried vertices")
+            light, mended = yield from _told(work, 0.95, 0.97, "Buried vertices")
         yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
-            error, probe_rays = probe_error(solution, receivers, light, indirect, moved, plan, settings.seed)
-    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
+            error, probe_rays = probe_error(solution, receivers, light, indirect, mended.moved, plan, settings.seed)
+    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + mended.rays
     statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
     meshes = [
-        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], indirect.buried)
+        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], mended.buried)
         for (mesh, vertices), corners in zip(stored, receivers.corner_receivers, strict=True)
     ]
     warnings += _receiver_warnings(meshes)

@@ -240,11 +240,14 @@ def relight_walled_off(
     weights = walled.weights * free * openness[:count]
     # In front of the wall it is as open as at the corner.
     totals = walled.sums(weights) + (walled.totals - walled.sums(walled.weights)) * openness[count:]
+    areas = walled.weights * free
+    # What lies inside solids is on neither side.
+    open_areas = walled.totals - walled.sums(walled.weights - areas)
     outdoors = walled.strips & outdoors[count:]
     moved = np.zeros(len(light), bool)
     for samples, enough in (
         (brighter, walled.sums(weights * brighter) > MOST * totals),
-        (darker, walled.sums(weights * darker) > MOST * totals),
+        (darker, walled.sums(areas * darker) > MOST * open_areas),
         (lighting, walled.borders & (walled.sums(walled.weights * lighting) > LEAST * walled.totals)),
         (glowing, outdoors & (walled.sums(walled.weights * glowing) > LEAST * walled.totals)),
     ):

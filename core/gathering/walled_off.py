@@ -7,7 +7,8 @@ that it does not see. This is the area-weighted resampling of L. Kavan, A. W. Ba
 Vertex Baking" (2011), kept to where a vertex sample is worst; a mean and not a fit, so it never leaves the range of
 what was sampled.
 
-Places from which one sees far count for more than those in a gap behind a cupboard: they are the ones that are seen.
+For a corner in the dark, places from which one sees far count for more than those in the gap where it stands: they are
+the ones that are seen.
 A smaller part is enough for a corner on the border of its mesh in the dark, where nobody looks, and of a strip that
 pierces a wall, as the sides of a panel or a beam do, for a corner outdoors if the room is dark: an end of the strip too
 dark outdoors is not noticed, one that glows in the room is.
@@ -246,7 +247,8 @@ def relight_walled_off(
     outdoors = walled.strips & outdoors[count:]
     moved = np.zeros(len(light), bool)
     for samples, enough in (
-        (brighter, walled.sums(weights * brighter) > MOST * totals),
+        (brighter, walled.sums(areas * brighter) > MOST * open_areas),
+        (lighting, walled.sums(weights * lighting) > MOST * totals),
         (darker, walled.sums(areas * darker) > MOST * open_areas),
         (lighting, walled.borders & (walled.sums(walled.weights * lighting) > LEAST * walled.totals)),
         (glowing, outdoors & (walled.sums(walled.weights * glowing) > LEAST * walled.totals)),

@@ -74,6 +74,14 @@ class PathScene:
         sky = None if scene.sky_is_dark else scene.sky
         return cls(frame, surfaces, cleaned.rows, shining, [*lamps, *emissive], sky, tracer)
 
+    @property
+    def area(self) -> float:
+        """Area of all triangles, in unit lengths."""
+        corners = self.surfaces.vertices[self.surfaces.triangles]
+        return float(
+            np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+        )
+
     def colors(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Reflectance and emission (n, 3) at hits, without what lights stand for.
 

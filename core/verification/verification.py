@@ -6,8 +6,9 @@ which `accuracy` asks for and the report estimates, whatever was stored. What th
 mean over a vertex, is part of it.
 
 Not measured: places inside solids, where the bake stores the light of the nearest open place and the reference finds
-none; surfaces that hardly reflect, where ``combined`` tells nothing about the light; what interpolation between
-vertices leaves out; and what bake and reference share (`light_paths`).
+none; corners that a wall cuts off from most of their faces, which store the light of these; surfaces that hardly
+reflect, where ``combined`` tells nothing about the light; what interpolation between vertices leaves out; and what bake
+and reference share (`light_paths`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from ..baked_mesh import BakedMesh
 from ..errors import EmptySceneError, SettingsError
 from ..gathering.placing import place_receivers
 from ..gathering.receivers import Receivers
+from ..gathering.walled_off import find_walled_off
 from ..progress import Progress, shared_progress
 from ..scene import Scene
 from ..visibility.embree import RayPool
@@ -35,6 +37,9 @@ LEAST = 16
 #: Paths of one round. No further round follows once the reference's own noise is below the error: noise as large adds a
 #: twentieth to the width of the interval's half that places alone would leave.
 ROUND = 1024
+
+#: Patches by whose size it is judged whether a wall cuts a corner off: as many as a bake of 3 % makes.
+TYPICAL_PATCHES = 2700
 
 #: Reflectance below which a stored ``combined`` value does not tell the light that arrived.
 LEAST_REFLECTANCE = 0.05
@@ -134,7 +139,9 @@ def verify_steps(
         receivers = place_receivers(meshes, path_scene.tracer, pool)
         if not len(receivers):
             raise EmptySceneError("No vertex with a light to measure: all baked meshes are empty or broken")
-        chosen = _draw(scene, receivers, stored, places, np.random.default_rng(seed))
+        spacing = np.sqrt(path_scene.area / TYPICAL_PATCHES)
+        walled = find_walled_off(path_scene.tracer, meshes, receivers, spacing, pool).receivers
+        chosen = _draw(scene, receivers, stored, places, walled, np.random.default_rng(seed))
         points, normals = receivers.points[chosen.receivers], receivers.normals[chosen.receivers]
         yield Progress(0.02, "Direct light of the reference")
         work = shared_progress(direct_reference(path_scene, points, normals, seed, pool), 0.02, 0.1)
@@ -179,15 +186,17 @@ def _measured(scene, receivers, stored, bake_type, chosen: _Places, lit: _Lit, s
     return measured, int(buried.sum())
 
 
-def _draw(scene: Scene, receivers: Receivers, stored, count: int, generator) -> _Places:
-    """Places of receivers, half of them on borders where there are so many."""
+def _draw(scene: Scene, receivers: Receivers, stored, count: int, walled: np.ndarray, generator) -> _Places:
+    """Places of receivers that are not `walled` (k,), half of them on borders where there are so many."""
+    free = np.ones(len(receivers), bool)
+    free[walled] = False
     # The first corner that names each receiver stands for it.
     corner_of, mesh_of = np.full(len(receivers), -1), np.zeros(len(receivers), int)
     for number in reversed(range(len(scene.receivers))):
         corners = receivers.corner_receivers[number]
         named = np.nonzero(corners >= 0)[0][::-1]
         corner_of[corners[named]], mesh_of[corners[named]] = named, number
-    kinds = [np.nonzero(receivers.borders)[0], np.nonzero(~receivers.borders)[0]]
+    kinds = [np.nonzero(receivers.borders & free)[0], np.nonzero(~receivers.borders & free)[0]]
     few = min(len(kind) for kind in kinds)
     drawn, strata, weights = [], [], []
     for stratum, kind in enumerate(kinds):

@@ -159,7 +159,7 @@ def test_mesh_that_a_modifier_reshapes_is_compared_on_its_surface(room):
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=6, y_subdivisions=6, size=2, location=(0, 0, -1))
     modifier = bpy.context.object.modifiers.new("Slab", 'SOLIDIFY')
     # The slab rises above the mesh, whose own vertices would look at its inside.
-    modifier.thickness, modifier.offset = 0.2, 1
+    modifier.thickness, modifier.offset = 0.03, 1
     room.select_set(False)
     bake()
     bpy.ops.radiosity.verify(places=40)

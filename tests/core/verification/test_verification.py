@@ -79,6 +79,19 @@ def test_places_inside_solids_are_left_out():
     assert found.measured.places == 800 - found.left_out
 
 
+def test_corners_that_store_the_light_behind_a_wall_are_left_out():
+    vertices, faces, _ = box((1.0, 1.0, 1.0), 8)
+    # Its four corners stand outdoors, and hold the light of the room.
+    panel = grid([(-0.08, 0.5, -0.08), (1.08, 0.5, -0.08), (1.08, 0.5, 1.08), (-0.08, 0.5, 1.08)], 1, 1)
+    lamp = PointLight(np.array([0.5, 0.25, 0.7]), np.full(3, 0.05), 0.02)
+    scene = scene_of(Thing(*panel, name="Panel"), Thing(vertices, faces), lights=(lamp,), sky=1.0)
+    found = verify(scene, stored(bake(scene, 0.03)), places=10_000)
+    walls = 6 * 81
+    # Where the panel meets the walls some of their border vertices are cut off as well.
+    assert 0.85 * walls < found.measured.places + found.left_out <= walls
+    assert found.measured.high < 0.2
+
+
 def test_same_numbers_again_and_with_more_threads():
     scene = cornell_box(6)
     colors = stored(bake(scene))

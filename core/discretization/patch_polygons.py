@@ -65,7 +65,7 @@ def over_patches(matrix: np.ndarray, areas: np.ndarray, owners: np.ndarray, coun
     owners : (k,) int
         Group of each polygon.
     count : int
-        Number of groups, each of which has a polygon with an area.
+        Number of groups.
 
     Returns
     -------
@@ -83,4 +83,5 @@ def over_patches(matrix: np.ndarray, areas: np.ndarray, owners: np.ndarray, coun
     np.add.at(summed, owners, matrix * areas[:, None])
     out = np.zeros((count, count))
     np.add.at(out.T, owners, summed.T)
-    return out / np.bincount(owners, areas, count)[:, None]
+    totals = np.bincount(owners, areas, count)
+    return out / np.where(totals > 0, totals, 1)[:, None]

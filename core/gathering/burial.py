@@ -101,6 +101,7 @@ def _look_again(solution, receivers, who, steps, rays, penumbra_rays, seed):
         everywhere=True,
     )
     direct, shadow = yield from shared_progress(work, 0.5, 1.0)
+    # By rays, whatever the method: these are few places, and odd ones.
     return np.concatenate([direct, seen.irradiance(solution.table())], axis=1), free, shadow + rays * len(who)
 
 

@@ -29,6 +29,12 @@ from ..form_factors.point_rows import PointExchange
 from . import Solution, solve_radiosity
 from .patch_solution import PatchSolution
 
+#: Cosine between normals, and height in sides of a patch, up to which patches count as parts of one surface; and how far
+#: away, in the same, a patch may lie that stands for one on which a wall stands.
+COPLANAR = 0.9
+LEVEL = 0.1
+ASIDE = 2.0
+
 
 @dataclass(kw_only=True)
 class MatrixSolution(PatchSolution):
@@ -99,7 +105,7 @@ class MatrixSolution(PatchSolution):
         if self.method != "auto":
             at_points = METHODS[self.method].at_points
             point_rows = at_points(environment, visibility, self.light_accuracy, self.seed, self.pool.threads)
-            self.exchange = PointExchange(point_rows, self.solution.radiosity[owners])
+            self.exchange = PointExchange(point_rows, self._seen_radiosity(rows)[owners])
 
     def _unburied_shares(self, sums: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Share (n,) of each patch that does not lie under or in something, whose row sums to `sums` (n,).
@@ -118,6 +124,33 @@ class MatrixSolution(PatchSolution):
             wanted[side_rows] = np.where(partly, free, 0)
         wanted = wanted[rows]
         return np.where((sums > 0) & (sums < wanted), sums / np.where(wanted > 0, wanted, 1), 1)
+
+    def _seen_radiosity(self, rows: np.ndarray) -> np.ndarray:
+        """Radiosity (n, 3) of fronts and backs numbered `rows` (n,) as receivers see them.
+
+        A patch at a wall's foot has light of both sides of the wall, or hardly any where most of it lies under a block;
+        whoever stands there has half a hemisphere of it. It shows the light of the nearest patch beside it, as it does
+        to rays (`WallSides`).
+        """
+        radiosity = self.solution.radiosity.copy()
+        patches, sides = self.patches, self.hits_to_rows.sides
+        mixed = self.buried[rows]
+        if sides is not None:
+            mixed |= sides.crossed[rows % patches.count]
+        sound, mixed = np.flatnonzero(~mixed), np.flatnonzero(mixed)
+        if not (len(sound) and len(mixed)):
+            return radiosity
+        front = np.where(rows < patches.count, 1, -1)[:, None]
+        places, normals = (a[rows % patches.count] for a in (patches.points.mean(axis=1), patches.normals[:, 0]))
+        normals = front * normals
+        apart = np.linalg.norm(places[mixed, None] - places[sound], axis=2)
+        height = np.abs(np.einsum("msi,mi->ms", places[sound] - places[mixed, None], normals[mixed]))
+        beside = (normals[mixed] @ normals[sound].T > COPLANAR) & (height < LEVEL * patches.spacing)
+        apart[~beside] = np.inf
+        nearest = apart.argmin(axis=1)
+        near = np.take_along_axis(apart, nearest[:, None], axis=1)[:, 0] < ASIDE * patches.spacing
+        radiosity[mixed[near]] = radiosity[sound[nearest[near]]]
+        return radiosity
 
     def _visibility(self) -> str:
         """The rays that a bake has anyway, where the method takes them."""

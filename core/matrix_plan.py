@@ -27,7 +27,7 @@ MOST_POLYGONS = 3000
 
 #: Error of the worst form factor, as a share of the accuracy of the light: factors of small patches are themselves only
 #: so large, and errors of many even out.
-FACTOR_SHARE = 0.3
+FACTOR_SHARE = 1.0
 
 
 def has_name(settings: BakeSettings) -> bool:

@@ -27,13 +27,16 @@ from ..environment import Environment
 from ..form_factors.matrix import METHODS, FormFactors, form_factors
 from ..form_factors.point_rows import PointExchange
 from . import Solution, solve_radiosity
-from .patch_solution import PatchSolution
+from .patch_solution import BURIED, PatchSolution
 
 #: Cosine between normals, and height in sides of a patch, up to which patches count as parts of one surface; and how far
 #: away, in the same, a patch may lie that stands for one on which a wall stands.
 COPLANAR = 0.9
 LEVEL = 0.1
 ASIDE = 2.0
+
+#: Buried share above which a patch counts as buried as a whole.
+WHOLE = 0.95
 
 
 @dataclass(kw_only=True)
@@ -79,7 +82,6 @@ class MatrixSolution(PatchSolution):
         yield 0.0
         count = self.patches.count
         self.exchanging = self.active.copy()
-        self.exchanging[count:] &= ~self.enclosed[count:]
         rows = np.flatnonzero(self.exchanging)
         # Lights, the sky, and what shines without taking part: all that reaches the patches other than from each other.
         given = self._gathered(self.hits_to_rows.table(np.where(self.exchanging[:, None], 0, self.emitted)))
@@ -91,9 +93,13 @@ class MatrixSolution(PatchSolution):
         )
         yield 0.8
         self.rays_traced += self.factors.rays
-        matrix = over_patches(self.factors.matrix, environment.areas, owners, len(rows))
-        shares = self._unburied_shares(matrix.sum(axis=1), rows)
-        self.matrix, self.areas = matrix / shares[:, None], shares * np.tile(self.patches.areas, 2)[rows]
+        matrix = over_patches(self.factors.matrix, environment.areas, owners, len(rows)).copy()
+        free = 1 - self._buried_shares(matrix, rows)
+        # A patch half under a block would be half as bright, as that half sees nothing; but its light is wanted where
+        # it can be seen. With the free area for the whole, reciprocity stays as it was.
+        partly, inside = free < 1, self.enclosed[rows] & (rows >= count)
+        matrix[np.ix_(partly, inside)] = matrix[np.ix_(inside, partly)] = 0
+        self.matrix, self.areas = matrix / free[:, None], free * np.tile(self.patches.areas, 2)[rows]
         self.solution = solve_radiosity(
             self.matrix, self.reflectances[rows], sources, self.areas, self.solver, tolerance
         )
@@ -107,23 +113,21 @@ class MatrixSolution(PatchSolution):
             point_rows = at_points(environment, visibility, self.light_accuracy, self.seed, self.pool.threads)
             self.exchange = PointExchange(point_rows, self._seen_radiosity(rows)[owners])
 
-    def _unburied_shares(self, sums: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Share (n,) of each patch that does not lie under or in something, whose row sums to `sums` (n,).
+    def _buried_shares(self, matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Share (n,) of the fronts and backs numbered `rows` (n,) that lies under or in something, by their factors.
 
-        A patch of which a part lies under a block would be half as bright: that part sees nothing. Its light is wanted
-        where it can be seen, so the row becomes that of the free part, whose rays say what it must sum to. With the
-        free area for the whole, reciprocity stays as it was.
+        The insides of solids are part of the matrix, and what sees them is buried. Backs that reflect nothing are not:
+        where sample points see hardly anything else, what escapes has met them.
         """
-        dark, taking_part = self.dark_rows(), np.zeros(self.hits_to_rows.rows, bool)
-        taking_part[: len(self.exchanging)] = self.exchanging
-        wanted = np.zeros(len(self.exchanging))
+        inside = (rows >= self.patches.count) & self.enclosed[rows]
+        shares = matrix[:, inside].sum(axis=1)
+        black = np.zeros(len(self.active))
         for side_rows, _, seen, kept in self.gathered_sides():
-            shape = kept.shape
-            partly = (dark[seen.rows].any(axis=1).reshape(shape) & ~self.buried[side_rows, None]).any(axis=1)
-            free = (taking_part[seen.rows].mean(axis=1).reshape(shape) * kept).sum(axis=1) / kept.sum(axis=1)
-            wanted[side_rows] = np.where(partly, free, 0)
-        wanted = wanted[rows]
-        return np.where((sums > 0) & (sums < wanted), sums / np.where(wanted > 0, wanted, 1), 1)
+            met = (seen.rows == self.hits_to_rows.black_row).mean(axis=1).reshape(kept.shape)
+            black[side_rows] = (met * (met > BURIED)).mean(axis=1)
+        shares += np.minimum(black[rows], np.maximum(1 - matrix.sum(axis=1), 0))
+        # What is buried as a whole, or sees the inside of a solid from within, stays so.
+        return np.where(inside | (shares > WHOLE), 0, shares)
 
     def _seen_radiosity(self, rows: np.ndarray) -> np.ndarray:
         """Radiosity (n, 3) of fronts and backs numbered `rows` (n,) as receivers see them.

@@ -19,6 +19,7 @@ from .baked_mesh import BakedMesh
 from .cleaning import clean, compacted
 from .discretization.merging import merge_coplanar
 from .discretization.patch_colors import patch_colors
+from .discretization.patch_polygons import PatchPolygons
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .form_factors.cached_hemispheres import HitTable, WallSides, gather
@@ -30,9 +31,12 @@ from .gathering.walled_off import find_walled_off
 from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
+from .matrix_plan import FACTOR_SHARE, check_size, check_surfaces, has_name, matrix_plan
 from .progress import Progress, finish, shared_progress
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
+from .solvers.matrix_checks import check_matrix, matrix_statistics
+from .solvers.matrix_solution import MatrixSolution
 from .solvers.patch_checks import check_patches
 from .solvers.patch_solution import PatchSolution
 from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
@@ -89,6 +93,7 @@ class _Model:
     black_back: np.ndarray
     sides: WallSides | None
     lights: list
+    polygons: PatchPolygons | None
 
 
 def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None, BakeResult]:
@@ -101,12 +106,16 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     NoEmittersError
         Nothing emits light.
     SceneTooLargeError
-        More memory foreseen than allowed.
+        More memory foreseen than allowed, or too many polygons for the method chosen by name.
+    SettingsError
+        The method or solver chosen by name cannot serve the scene.
     MissingRayEngineError
         embreex cannot be imported.
     """
     clock = _Clock()
     plan = plan_for(settings.accuracy)
+    if has_name(settings):
+        plan = matrix_plan(plan, settings.accuracy)
     yield Progress(0.0, "Preparing surfaces")
     with clock.stage("prepare"):
         cleaned = clean(scene.surfaces)
@@ -123,7 +132,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     with RayPool(settings.threads) as pool:
         yield Progress(0.01, "Preparing surfaces to trace")
         with clock.stage("trace mesh"):
-            model = _build_model(surfaces, frame, rows, scene, plan, pool)
+            model = _build_model(surfaces, frame, rows, scene, plan, settings, pool)
         del surfaces, rows
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
@@ -135,7 +144,8 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
         solution = _patch_solution(model, scene, plan, settings, pool)
         with clock.stage("patches"):
-            yield from _told(solution.solve(), 0.1, 0.3, "Solving patches")
+            message = f"Form factors by {settings.method}" if has_name(settings) else "Solving patches"
+            yield from _told(solution.solve(), 0.1, 0.3, message)
         with clock.stage("direct light"):
             work = direct_light(
                 model.tracer,
@@ -192,6 +202,7 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
             "Nothing in the scene emits light: add a lamp, give a material an emission strength above 0, or light the "
             "world (World properties, or --world-strength 1 on the command line)"
         )
+    check_surfaces(surfaces, settings)
     corners = sum(len(mesh.corner_vertices) for mesh in scene.receivers)
     needed = foreseen_memory(len(surfaces.triangles), corners, plan)
     if settings.memory_limit and needed > settings.memory_limit:
@@ -210,7 +221,13 @@ def _moved(vertices: np.ndarray, frame: Frame) -> np.ndarray:
 
 
 def _build_model(
-    surfaces: Surfaces, frame: Frame, rows: np.ndarray | None, scene: Scene, plan: BakePlan, pool: RayPool
+    surfaces: Surfaces,
+    frame: Frame,
+    rows: np.ndarray | None,
+    scene: Scene,
+    plan: BakePlan,
+    settings: BakeSettings,
+    pool: RayPool,
 ) -> _Model:
     """The model of surfaces in the unit frame; `rows` (m,) are theirs in the surfaces that the shader knows."""
     looks = _looks(surfaces)
@@ -236,6 +253,7 @@ def _build_model(
     cells, starts, segments = probe_segments(patches, corners, triangles, whole)
     crossed = _crossed(tracer, starts, segments, pool)
     patches = split_cells(patches, corners, triangles, cells[crossed], plan.patches)
+    check_size(patches, settings)
     cells, starts, segments = probe_segments(patches, corners, triangles)
     walled = np.zeros(patches.count, bool)
     walled[cells[_crossed(tracer, starts, segments, pool)]] = True
@@ -252,6 +270,7 @@ def _build_model(
         black_back=~two_sided,
         sides=WallSides.of(walled, corners[triangles], patches.areas) if walled.any() else None,
         lights=[*lamps, *shining],
+        polygons=PatchPolygons.of(patches, corners, triangles) if has_name(settings) else None,
     )
 
 
@@ -291,7 +310,7 @@ def _looks(surfaces: Surfaces) -> np.ndarray:
 def _patch_solution(
     model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool
 ) -> PatchSolution:
-    return PatchSolution(
+    parts = dict(
         tracer=model.tracer,
         hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, model.sides),
         lights=model.lights,
@@ -304,6 +323,16 @@ def _patch_solution(
         seed=settings.seed,
         tolerance=plan.tolerance,
         detail=plan.patch_detail,
+    )
+    if not has_name(settings):
+        return PatchSolution(**parts)
+    return MatrixSolution(
+        **parts,
+        polygons=model.polygons,
+        method=settings.method,
+        solver=settings.solver,
+        factor_accuracy=FACTOR_SHARE * settings.accuracy,
+        light_accuracy=settings.accuracy,
     )
 
 
@@ -327,8 +356,12 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
 
 
 def _statistics(triangles, model, receivers, solution, indirect, rays, error, clock) -> dict:
-    checks = check_patches(solution)
+    is_matrix = isinstance(solution, MatrixSolution)
+    checks = check_matrix(solution) if is_matrix else check_patches(solution)
     return {
+        "method": "auto",
+        "solver": "auto",
+        **(matrix_statistics(solution) if is_matrix else {}),
         "triangles": triangles,
         "traced_triangles": len(model.black_back),
         "patches": int((model.patches.areas > 0).sum()),

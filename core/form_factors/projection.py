@@ -26,6 +26,7 @@ from ..frames import turned_frames
 from ..visibility.zbuffer import Loops
 from .hemisphere import SampledRows
 from .patch_points import PatchPoints, fibonacci_lattice, fold
+from .point_rows import PointRows, shifts_of_names
 
 #: Cameras times accuracy that a computation takes at least, spread over its patches: where these are few they cost so
 #: little that each gets more points than the accuracy asks for.
@@ -242,3 +243,35 @@ def in_front(points: np.ndarray, normals: np.ndarray, loops: Loops) -> np.ndarra
     """Rows of the polygons that rise above the tangent plane of at least one of the points."""
     heights = normals @ loops.corners.T - np.einsum("pi,pi->p", points, normals)[:, None]
     return np.flatnonzero(np.maximum.reduceat(heights.max(axis=0), loops.offsets[:-1]) > loops.edge_on)
+
+
+def point_resolution(pixels: int, accuracy: float) -> int:
+    """Pixels along a side of a camera for single points, from those at an accuracy of 3 %.
+
+    The pixels' number grows as the accuracy falls, as the rays of a hemisphere do, within a factor of 2 either way.
+    """
+    return int(np.clip(round(pixels * (0.03 / accuracy) ** 0.5), pixels // 2, 2 * pixels))
+
+
+def projection_points(environment: Environment, camera: Camera, seed: int = 0) -> PointRows:
+    """Factors from points to all patches, by one camera on each, turned about the normal by an angle of its own."""
+    loops = Loops.of(environment)
+    count = len(environment)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        turns = 2 * np.pi * shifts_of_names(names, seed, 1)[:, 0]
+        out = np.empty((len(points), count))
+        at_once = max(1, BLOCK_PIXELS // (len(camera.deltas) + count))
+        for start in range(0, len(points), at_once):
+            part = slice(start, start + at_once)
+            candidates = in_front(points[part], normals[part], loops)
+            items = camera.items(points[part], turned_frames(normals[part], turns[part]), loops.select(candidates))
+            # One bin for what is not seen, and from there to the patches' own numbers.
+            names_of = np.append(candidates, count)
+            bins = names_of[items] + np.arange(len(items))[:, None] * (count + 1)
+            deltas = np.broadcast_to(camera.deltas, bins.shape).ravel()
+            seen = np.bincount(bins.ravel(), deltas, len(items) * (count + 1)).reshape(len(items), count + 1)
+            out[part] = seen[:, :-1] * facing_sides(points[part], environment)
+        return out
+
+    return rows

@@ -310,9 +310,11 @@ def _looks(surfaces: Surfaces) -> np.ndarray:
 def _patch_solution(
     model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool
 ) -> PatchSolution:
+    # A method knows no two sides of a patch.
+    sides = model.sides if settings.method == "auto" else None
     parts = dict(
         tracer=model.tracer,
-        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, model.sides),
+        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, sides),
         lights=model.lights,
         reflectance=model.reflectance,
         emission=model.emission,
@@ -329,6 +331,7 @@ def _patch_solution(
     return MatrixSolution(
         **parts,
         polygons=model.polygons,
+        crossed=np.zeros(model.patches.count, bool) if model.sides is None else model.sides.crossed,
         method=settings.method,
         solver=settings.solver,
         factor_accuracy=FACTOR_SHARE * settings.accuracy,

@@ -47,6 +47,9 @@ class MatrixSolution(PatchSolution):
     ------------------------------------------
     polygons : PatchPolygons
         Of the patches, in the unit frame.
+    crossed : (P,) bool
+        Patches on which a wall stands. A method knows no two sides of a patch, so where one is chosen `hits_to_rows`
+        must not tell them apart either: what rays take away next to a receiver is what the method gave it.
     method, solver : str
         Names, or ``auto``.
     factor_accuracy : float
@@ -68,6 +71,7 @@ class MatrixSolution(PatchSolution):
     """
 
     polygons: PatchPolygons
+    crossed: np.ndarray
     method: str
     solver: str
     factor_accuracy: float
@@ -105,13 +109,14 @@ class MatrixSolution(PatchSolution):
         )
         self.sweeps, self.residual = self.solution.iterations, self.solution.residual
         self.radiosity = self.emitted
-        self.radiosity[rows] = self.solution.radiosity
+        # What a receiver's near field takes away is what it was given: the same radiosity on both ways.
+        self.radiosity[rows] = self._seen_radiosity(rows)
         given[rows] += self.matrix @ self.solution.radiosity
         self.irradiance = given
         if self.method != "auto":
             at_points = METHODS[self.method].at_points
             point_rows = at_points(environment, visibility, self.light_accuracy, self.seed, self.pool.threads)
-            self.exchange = PointExchange(point_rows, self._seen_radiosity(rows)[owners])
+            self.exchange = PointExchange(point_rows, self.radiosity[rows][owners].astype(np.float64))
 
     def _buried_shares(self, matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Share (n,) of the fronts and backs numbered `rows` (n,) that lies under or in something, by their factors.
@@ -133,14 +138,11 @@ class MatrixSolution(PatchSolution):
         """Radiosity (n, 3) of fronts and backs numbered `rows` (n,) as receivers see them.
 
         A patch at a wall's foot has light of both sides of the wall, or hardly any where most of it lies under a block;
-        whoever stands there has half a hemisphere of it. It shows the light of the nearest patch beside it, as it does
-        to rays (`WallSides`).
+        whoever stands there has half a hemisphere of it. It shows the light of the nearest patch beside it.
         """
         radiosity = self.solution.radiosity.copy()
-        patches, sides = self.patches, self.hits_to_rows.sides
-        mixed = self.buried[rows]
-        if sides is not None:
-            mixed |= sides.crossed[rows % patches.count]
+        patches = self.patches
+        mixed = self.buried[rows] | self.crossed[rows % patches.count]
         sound, mixed = np.flatnonzero(~mixed), np.flatnonzero(mixed)
         if not (len(sound) and len(mixed)):
             return radiosity

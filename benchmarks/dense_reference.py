@@ -79,9 +79,9 @@ class _Paths:
         frame = Frame.around(np.asarray(cleaned.surfaces.vertices, dtype=np.float64))
         surfaces = replace(cleaned.surfaces, vertices=pipeline._moved(cleaned.surfaces.vertices, frame))
         meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
-        self.model = pipeline._build_model(surfaces, frame, cleaned.rows, scene, plan, pool)
-        self.receivers = place_receivers(meshes, self.model.tracer, pool)
         settings = BakeSettings(accuracy=0.01, seed=77)
+        self.model = pipeline._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
+        self.receivers = place_receivers(meshes, self.model.tracer, pool)
         self.solution = pipeline._patch_solution(self.model, scene, plan, settings, pool)
         finish(self.solution.solve())
         self.table = self.solution.table()[:, :3]

@@ -215,7 +215,8 @@ def disk_rows(
             wanted[block] = renewed & (variance > (GOAL * accuracy) ** 2)
         if not wanted.any():
             break
-    worst = errors.max(axis=1, initial=0)
+    # Of a share of 1 nothing can be further off.
+    worst = np.minimum(errors.max(axis=1, initial=0), 1)
     if worst.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: sample limit", worst.max(), accuracy)
     return patch_rows(environment, faces, values, worst, used, 0 if sight is None else sight.visibility.rays)

@@ -77,9 +77,14 @@ class SampledRows:
 
 
 def hemisphere_rows(
-    environment: Environment, accuracy: float, seed: int = 0, threads: int = 0, sampling: str = "low_discrepancy"
+    environment: Environment,
+    accuracy: float,
+    seed: int = 0,
+    threads: int = 0,
+    sampling: str = "low_discrepancy",
+    wanted: np.ndarray | None = None,
 ) -> SampledRows:
-    """Form factors of all patches by ray casting.
+    """Form factors of all patches, or of some, by ray casting.
 
     Parameters
     ----------
@@ -91,6 +96,8 @@ def hemisphere_rows(
         Threads of the ray engine; 0 takes all cores. The result does not depend on it.
     sampling : str
         ``low_discrepancy``, or ``random`` for independent rays, whose error falls more slowly.
+    wanted : (n,) bool, optional
+        Patches to cast rays from; the rows of others stay 0. A row does not depend on which others are wanted.
 
     Returns
     -------
@@ -110,10 +117,21 @@ def hemisphere_rows(
         raise SettingsError(f"Unknown sampling {sampling!r} of the hemisphere: choose {', '.join(FALLS)}")
     caster = RowCaster(environment, threads, sampling)
     count = len(environment)
-    matrix, escaped, errors, samples, cast = caster.refined(np.arange(count), accuracy, seed)
+    rows = np.arange(count) if wanted is None else np.flatnonzero(wanted)
+    *found, cast = caster.refined(rows, accuracy, seed)
+    matrix, escaped, errors, samples = (_spread(values, rows, count) for values in found)
     if count and errors.max() > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: ray limit", errors.max(), accuracy)
     return SampledRows(matrix, escaped, errors, samples, cast, seam_leaks(environment, caster.offset))
+
+
+def _spread(values, rows, count):
+    """Values of some rows among zeros for all others."""
+    if len(rows) == count:
+        return values
+    spread = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+    spread[rows] = values
+    return spread
 
 
 def seam_leaks(environment: Environment, offset: float) -> np.ndarray:

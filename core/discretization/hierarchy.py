@@ -7,9 +7,11 @@ through the middles of the two longer opposite sides, triangles from the middle 
 
 Cuts end at the middles of sides only. So whatever two neighbors do, their borders have vertices at the same places, bit
 for bit, and neighbors are found by comparing numbers. A hierarchy is *balanced* when no side of an element has more
-than one vertex of others on it: neighbors differ by one halving of their common side.
+than one vertex of others on it: neighbors differ by one halving of their common side. `conforming` makes triangles of
+it that leave no gaps.
 
-Cost: O(nodes); all nodes of a level are divided at once. Limits: neighbors are looked for within a surface only.
+Cost: O(nodes log nodes); all nodes of a level are divided at once. Limits: surfaces are neighbors where they have a
+whole side in common, or halves of it; corners that surfaces have on each other's sides anywhere else stay as they are.
 """
 
 from __future__ import annotations
@@ -20,6 +22,9 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+
+#: Cosine above which surfaces face alike: a thousandth of a radian.
+COPLANAR = 1 - 5e-7
 
 #: Sizes are in these parts of the scene's longest side, as in Blender's old Radiosity tool.
 UNITS = 2000
@@ -183,29 +188,31 @@ class Hierarchy:
     def crowded(self) -> np.ndarray:
         """Elements with more than one vertex of others on a side, ascending."""
         elements = self.elements
-        starts, ends, owners = self._sides(elements)
+        starts, ends, owners = self.sides(elements)
         middles = (starts + ends) / 2
         quarters = np.concatenate(((starts + middles) / 2, (middles + ends) / 2))
-        known = _numbered(self.surfaces[elements[owners]], [starts, quarters[: len(starts)], quarters[len(starts) :]])
-        vertices = np.unique(known[0])
-        crowded = np.isin(known[1], vertices) | np.isin(known[2], vertices)
+        corners, *beside = numbered([starts, quarters[: len(starts)], quarters[len(starts) :]])
+        crowded = np.isin(beside[0], corners) | np.isin(beside[1], corners)
         return elements[np.unique(owners[crowded])]
 
     def neighbors(self) -> np.ndarray:
-        """(k, 2) places in `elements` of pairs that share a side, or half a side of one of them."""
+        """(k, 2) places in `elements` of pairs that share a side, or half a side of one of them, and face alike."""
         elements = self.elements
-        starts, ends, owners = self._sides(elements)
-        first, middle, last = _numbered(self.surfaces[elements[owners]], [starts, (starts + ends) / 2, ends])
+        starts, ends, owners = self.sides(elements)
+        first, middle, last = numbered([starts, (starts + ends) / 2, ends])
         size = int(max(first.max(initial=0), middle.max(initial=0), last.max(initial=0))) + 1
-        whole = _side_names(first, last, size)
+        # Of two that face alike, one goes along their common side forward, the other backward.
+        whole = first * size + last
         order = np.argsort(whole, kind="stable")
-        same = np.flatnonzero(whole[order[1:]] == whole[order[:-1]])
-        pairs = [np.stack((owners[order[same]], owners[order[same + 1]]), axis=1)]
-        for half in (_side_names(first, middle, size), _side_names(middle, last, size)):
-            place = np.searchsorted(whole[order], half).clip(max=max(len(order) - 1, 0))
-            met = np.flatnonzero(whole[order[place]] == half)
-            pairs.append(np.stack((owners[met], owners[order[place[met]]]), axis=1))
-        return np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
+        pairs = []
+        for back in (last * size + first, middle * size + first, last * size + middle):
+            begin, end = (np.searchsorted(whole[order], back, side) for side in ("left", "right"))
+            lists = np.repeat(np.arange(len(back)), end - begin)
+            places = np.arange(len(lists)) - np.repeat(np.cumsum(end - begin) - (end - begin), end - begin)
+            pairs.append(np.stack((owners[lists], owners[order[begin[lists] + places]]), axis=1))
+        found = np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
+        normals = self.environment.normals[self.surfaces[elements]]
+        return found[np.einsum("ki,ki->k", normals[found[:, 0]], normals[found[:, 1]]) > COPLANAR]
 
     def _room(self) -> int:
         return max(self.limits.max_elements - len(self.elements), 0)
@@ -225,9 +232,9 @@ class Hierarchy:
                 return tree
             tree = tree.split(chosen)
 
-    def _sides(self, elements):
-        """Starts and ends (s, 3) of the sides of elements, and the place of the element of each."""
-        corners = self.corners[elements]
+    def sides(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Starts and ends (s, 3) of the sides of nodes, node after node, and the place in `nodes` of each (s,)."""
+        corners = self.corners[nodes]
         following = np.roll(corners, -1, axis=1)
         owners, number = np.nonzero((corners != following).any(axis=2))
         return corners[owners, number], following[owners, number], owners
@@ -270,12 +277,7 @@ def _halves(corners):
     return np.stack((a, near, far, d), axis=1), np.stack((near, b, c, far), axis=1)
 
 
-def _numbered(surfaces, places):
-    """Numbers of places, each (s, 3), equal where a surface has the same place."""
-    rows = np.concatenate([np.column_stack((surfaces, place)) for place in places])
-    _, numbers = np.unique(rows, axis=0, return_inverse=True)
-    return np.split(numbers.reshape(-1), len(places))
-
-
-def _side_names(first, last, size):
-    return np.minimum(first, last) * size + np.maximum(first, last)
+def numbered(places: list[np.ndarray]) -> list[np.ndarray]:
+    """Numbers for places, each (s, 3), the same where coordinates are equal bit for bit."""
+    _, numbers = np.unique(np.concatenate(places), axis=0, return_inverse=True)
+    return np.split(numbers.reshape(-1), np.cumsum([len(place) for place in places])[:-1])

@@ -15,13 +15,15 @@ what matters; differences below the noise of sampled rows are halved in vain, so
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..discretization.hierarchy import Hierarchy, SubdivisionLimits
 from ..environment import Environment
 from ..errors import SettingsError
-from ..form_factors.rows_on_demand import rows_on_demand
-from .two_level import ElementFactors, TwoLevelSolution, element_rows, radiating, solve_two_level
+from .system import Callback
+from .two_level import PatchRows, TwoLevelSolution
 
 
 def solve_adaptively(
@@ -30,6 +32,8 @@ def solve_adaptively(
     limits: SubdivisionLimits | None = None,
     solver: str = "auto",
     tolerance: float = 1e-6,
+    max_iterations: int | None = None,
+    callback: Callback | None = None,
     **choices,
 ) -> TwoLevelSolution:
     """Two-level solution whose elements are halved where light changes.
@@ -43,7 +47,7 @@ def solve_adaptively(
         channel.
     limits : SubdivisionLimits, optional
         `element_max` is the size to begin with, `element_min` and `max_elements` end the division.
-    solver, tolerance, **choices
+    solver, tolerance, max_iterations, callback, **choices
         As in `two_level`.
 
     Returns
@@ -63,40 +67,37 @@ def solve_adaptively(
     if not error > 0:
         raise SettingsError(f"Error between neighbors must be above 0, not {error}")
     hierarchy = Hierarchy.build(environment, limits)
-    patches = hierarchy.polygons(hierarchy.patch_nodes)
-    rows = rows_on_demand(patches, **choices)
+    rows = PatchRows(hierarchy, **choices)
     # A row for each node, in the order of nodes; those above the first elements have none.
     known = np.zeros((len(hierarchy.corners), len(hierarchy.patch_nodes)))
-    known[hierarchy.elements] = element_rows(hierarchy, rows, hierarchy.elements)
+    fresh, computed = hierarchy.elements, 0
     while True:
-        nodes = hierarchy.elements
-        factors = ElementFactors(known[nodes], hierarchy.patches[nodes], radiating(hierarchy, nodes))
-        solution = solve_two_level(factors, patches.reflectance, patches.emission, solver, tolerance)
-        refined = hierarchy.refined(uneven_elements(hierarchy, solution, patches, error))
-        if len(refined.corners) == len(hierarchy.corners):
-            return TwoLevelSolution(**{**vars(solution), "hierarchy": hierarchy, "rows": rows.computed})
-        fresh = refined.elements
-        fresh = fresh[fresh >= len(hierarchy.corners)]
-        grown = np.zeros((len(refined.corners), known.shape[1]))
-        grown[: len(known)] = known
-        grown[fresh] = element_rows(refined, rows, fresh)
-        hierarchy, known = refined, grown
+        known[fresh] = rows.of(hierarchy, fresh)
+        computed += len(fresh)
+        solution = rows.solve(hierarchy, known[hierarchy.elements], solver, tolerance, max_iterations, callback)
+        refined = hierarchy.refined(uneven_elements(hierarchy, solution, rows.patches, error))
+        count = len(hierarchy.corners)
+        if len(refined.corners) == count:
+            return replace(solution, hierarchy=hierarchy, rows=computed)
+        hierarchy, fresh = refined, np.arange(count, len(refined.corners))
+        fresh = fresh[refined.children[fresh, 0] < 0]
+        known = np.concatenate((known, np.zeros((len(refined.corners) - count, known.shape[1]))))
 
 
-def uneven_elements(
-    hierarchy: Hierarchy, solution: TwoLevelSolution, patches: Environment, error: float
-) -> np.ndarray:
+def uneven_elements(hierarchy: Hierarchy, solution: TwoLevelSolution, patches: Environment, error: float) -> np.ndarray:
     """Elements to be halved, those first whose neighbors differ most.
 
-    Of two neighbors the larger is halved, or both where they are alike in size.
+    Of two neighbors the larger is halved, or both where they are alike in size. What they emit and how they reflect is
+    the same all over a surface: only the light that arrives is compared.
     """
     nodes, factors = hierarchy.elements, solution.factors
     pairs = hierarchy.neighbors()
-    reflected = solution.elements - patches.emission[factors.patches]
-    scale = factors.areas @ reflected / factors.areas.sum()
-    # What a surface emits is the same all over it.
-    change = np.abs(reflected[pairs[:, 0]] - reflected[pairs[:, 1]]) / np.where(scale > 0, scale, np.inf)
-    change = change.max(axis=1, initial=0)
+    arriving = factors.matrix @ solution.radiosity
+    reflectance = patches.reflectance[factors.patches]
+    scale = factors.areas @ (reflectance * arriving) / factors.areas.sum()
+    change = np.abs(arriving[pairs[:, 0]] - arriving[pairs[:, 1]])
+    change *= (reflectance[pairs[:, 0]] + reflectance[pairs[:, 1]]) / 2
+    change = (change / np.where(scale > 0, scale, np.inf)).max(axis=1, initial=0)
     steep = change > error
     pairs, change = pairs[steep], change[steep]
     areas = hierarchy.areas[nodes]

@@ -1,4 +1,4 @@
-"""Solvers of the radiosity equations, by name. One module a solver, one signature for all."""
+"""Solvers of a matrix of radiosity equations, by name. One module a solver, one signature for all."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..environment import Environment
 from ..errors import SettingsError
-from ..form_factors.matrix import FormFactors
 from .direct import solve_direct
 from .gauss_seidel import solve_gauss_seidel
 from .gmres import solve_gmres
 from .jacobi import solve_jacobi
-from .progressive_refinement import ProgressiveRefinement, Rows, ShootingState, solve_progressive_refinement
-from .system import Callback, Solution, State, System
+from .progressive_refinement import solve_progressive_refinement
+from .system import Callback, Solution, System
 
 #: Solvers by name. A solver takes (system, tolerance, max_iterations, start, callback, **options) and returns a
 #: `Solution`.
@@ -92,7 +90,7 @@ def solve_radiosity(
         raise SettingsError(f"Unknown solver {method!r}: choose auto, {', '.join(SOLVERS)}")
     if not (np.isfinite(tolerance) and tolerance >= 0):
         raise SettingsError(f"Tolerance must be finite and 0 or more, not {tolerance}")
-    _check_options(method, options)
+    check_options(method, options)
     if max_iterations is not None and max_iterations < 0:
         raise SettingsError(f"Maximum iterations must be 0 or more, not {max_iterations}")
     system = System.from_arrays(form_factors, reflectance, emission, areas)
@@ -105,59 +103,10 @@ def solve_radiosity(
     return SOLVERS[method](system, tolerance, max_iterations, start, callback, **options)
 
 
-def _check_options(method: str, options: dict) -> None:
+def check_options(method: str, options: dict) -> None:
+    """Raise SettingsError if a solver does not know an option."""
     known = OPTIONS.get(method, ())
     for option in options:
         if option not in known:
             listed = f": choose {', '.join(known)}" if known else ", it has none"
             raise SettingsError(f"Unknown option {option!r} of solver {method}{listed}")
-
-
-def solve(
-    environment: Environment,
-    form_factors: FormFactors | np.ndarray | Rows,
-    method: str = "auto",
-    tolerance: float = 1e-6,
-    max_iterations: int | None = None,
-    callback: Callback | None = None,
-    start: np.ndarray | None = None,
-    **options,
-) -> Solution:
-    """Radiosity (n, 3) of an environment's patches; the parameters are those of `solve_radiosity`.
-
-    Instead of a matrix a function may be given that computes rows on demand, ``rows(patches) -> (b, n)``, such as from
-    `form_factors.rows_on_demand`; then the method is ``progressive_refinement``, which ``auto`` takes.
-    """
-    if callable(form_factors):
-        if method not in ("auto", "progressive_refinement"):
-            raise SettingsError(f"Solver {method!r} needs a whole matrix, not rows: choose progressive_refinement")
-        if start is not None:
-            raise SettingsError("A start needs a whole matrix: go on from a ProgressiveRefinement's state instead")
-        _check_options("progressive_refinement", options)
-        refinement = ProgressiveRefinement.from_environment(environment, form_factors)
-        return refinement.refine(tolerance, max_iterations, callback=callback, **options)
-    matrix = form_factors.matrix if isinstance(form_factors, FormFactors) else form_factors
-    return solve_radiosity(
-        matrix,
-        environment.reflectance,
-        environment.emission,
-        environment.areas,
-        method,
-        tolerance,
-        max_iterations,
-        callback,
-        start,
-        **options,
-    )
-
-
-__all__ = [
-    "SOLVERS",
-    "ProgressiveRefinement",
-    "ShootingState",
-    "Solution",
-    "State",
-    "System",
-    "solve",
-    "solve_radiosity",
-]

@@ -5,20 +5,27 @@ Form factors are computed from elements to patches. Those between patches are th
 is solved; and each element gathers once, ``B_q = E + rho sum_j B_j F_qj`` (eq. 13), with no system of its own. So q
 elements on p patches cost q rows of p factors instead of q rows of q, and a system of p equations instead of q.
 
+Both identities are repaired between patches, and handed down to the elements in proportion. So power is kept, and the
+area average of the elements of a patch is the patch's radiosity, whatever the accuracy.
+
 Choose it where shading is to be finer than what lights it needs to be. Limits: an element near another patch sees that
-patch with one radiosity; averages of sampled rows obey reciprocity up to their accuracy only.
+patch with one radiosity.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..discretization.hierarchy import Hierarchy, SubdivisionLimits
 from ..environment import Environment
 from ..errors import SolverError
+from ..form_factors.hemisphere import seam_leaks
+from ..form_factors.identities import repair
+from ..form_factors.matrix import CLOSED_SHARE
 from ..form_factors.rows_on_demand import Receivers, RowsOnDemand, rows_on_demand
+from ..visibility.embree import OFFSET
 from .choice import solve_radiosity
 from .system import Callback, Quantities, Solution
 
@@ -58,6 +65,17 @@ class ElementFactors:
         starts = np.searchsorted(self.patches[order], np.arange(self.matrix.shape[1]))
         sums = np.add.reduceat(self.matrix[order] * self.areas[order, None], starts, axis=0)
         return sums / self.patch_areas()[:, None]
+
+    def repaired(self, closed: bool) -> ElementFactors:
+        """Factors whose averages obey reciprocity, and whose rows sum to 1 on average over a patch where `closed`.
+
+        Elements share a change of their patch's factor in proportion to their own.
+        """
+        before = self.patch_matrix()
+        after = repair(before, self.patch_areas(), closed)
+        lit = before > 0
+        gain, added = np.where(lit, after / np.where(lit, before, 1), 0), np.where(lit, 0, after)
+        return replace(self, matrix=self.matrix * gain[self.patches] + added[self.patches])
 
 
 @dataclass(frozen=True)
@@ -113,7 +131,16 @@ def solve_two_level(
     """
     areas = factors.patch_areas()
     patches = solve_radiosity(
-        factors.patch_matrix(), reflectance, emission, areas, solver, tolerance, max_iterations, callback, start, **options
+        factors.patch_matrix(),
+        reflectance,
+        emission,
+        areas,
+        solver,
+        tolerance,
+        max_iterations,
+        callback,
+        start,
+        **options,
     )
     known = Quantities.of_patches(len(areas), reflectance, emission, areas)
     arriving = factors.matrix @ patches.radiosity.reshape(len(areas), -1)
@@ -128,6 +155,8 @@ def two_level(
     limits: SubdivisionLimits | None = None,
     solver: str = "auto",
     tolerance: float = 1e-6,
+    max_iterations: int | None = None,
+    callback: Callback | None = None,
     **choices,
 ) -> TwoLevelSolution:
     """Divide surfaces into patches and elements, compute the factors between them, and solve.
@@ -138,7 +167,7 @@ def two_level(
         The surfaces.
     limits : SubdivisionLimits, optional
         Sizes of patches and elements.
-    solver, tolerance
+    solver, tolerance, max_iterations, callback
         Of the system of patches.
     **choices
         Of the form factors: ``method``, ``visibility``, ``accuracy``, ``seed``, ``threads`` and options of the method,
@@ -148,25 +177,49 @@ def two_level(
     -------
     TwoLevelSolution
         Patches in the order of `Hierarchy.patch_nodes`, elements in that of `Hierarchy.elements`.
+
+    Raises
+    ------
+    SceneTooLargeError
+        If the limits ask for more patches than elements are allowed.
+    SettingsError
+        If a name is unknown or a value out of range.
     """
     hierarchy = Hierarchy.build(environment, limits)
-    patches = hierarchy.polygons(hierarchy.patch_nodes)
-    factors = element_factors(hierarchy, rows_on_demand(patches, **choices))
-    solution = solve_two_level(factors, patches.reflectance, patches.emission, solver, tolerance)
-    return TwoLevelSolution(**{**vars(solution), "hierarchy": hierarchy})
-
-
-def element_factors(hierarchy: Hierarchy, rows: RowsOnDemand) -> ElementFactors:
-    """Factors from all elements of a hierarchy to its patches."""
+    rows = PatchRows(hierarchy, **choices)
     nodes = hierarchy.elements
-    return ElementFactors(element_rows(hierarchy, rows, nodes), hierarchy.patches[nodes], radiating(hierarchy, nodes))
+    solution = rows.solve(hierarchy, rows.of(hierarchy, nodes), solver, tolerance, max_iterations, callback)
+    return replace(solution, hierarchy=hierarchy, rows=len(nodes))
 
 
-def element_rows(hierarchy: Hierarchy, rows: RowsOnDemand, nodes: np.ndarray) -> np.ndarray:
-    """Factors (r, p) from some elements to the patches."""
-    return rows.of(Receivers(hierarchy.polygons(nodes), hierarchy.patches[nodes], nodes))
+class PatchRows:
+    """Form factors from any nodes of a hierarchy to its patches.
 
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        Whose patches are seen; those who look may be nodes of a refined one.
+    **choices
+        As in `two_level`.
+    """
 
-def radiating(hierarchy: Hierarchy, nodes: np.ndarray) -> np.ndarray:
-    """(r,) radiating areas of nodes: both sides where their surface has two."""
-    return hierarchy.areas[nodes] * np.where(hierarchy.environment.two_sided[hierarchy.surfaces[nodes]], 2, 1)
+    def __init__(self, hierarchy: Hierarchy, accuracy: float = 1e-3, **choices):
+        self.patches = hierarchy.polygons(hierarchy.patch_nodes)
+        self.accuracy = accuracy
+        self._rows: RowsOnDemand = rows_on_demand(self.patches, accuracy=accuracy, **choices)
+
+    def of(self, hierarchy: Hierarchy, nodes: np.ndarray) -> np.ndarray:
+        """(r, p) factors from nodes to patches."""
+        return self._rows.of(Receivers(hierarchy.polygons(nodes), hierarchy.patches[nodes], nodes))
+
+    def solve(self, hierarchy: Hierarchy, matrix: np.ndarray, *how) -> TwoLevelSolution:
+        """Solution from the factors (q, p) of all elements; the scene counts as closed where all rows say so."""
+        nodes = hierarchy.elements
+        sides = np.where(hierarchy.environment.two_sided[hierarchy.surfaces[nodes]], 2, 1)
+        raw = ElementFactors(matrix, hierarchy.patches[nodes], hierarchy.areas[nodes] * sides)
+        escaped = 1 - raw.patch_matrix().sum(axis=1)
+        closed = bool((escaped <= CLOSED_SHARE * self.accuracy + seam_leaks(self.patches, self._offset())).all())
+        return solve_two_level(raw.repaired(closed), self.patches.reflectance, self.patches.emission, *how)
+
+    def _offset(self):
+        return OFFSET * float(np.ptp(self.patches.vertices, axis=0).max())

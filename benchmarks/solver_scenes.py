@@ -12,9 +12,6 @@ from .form_factor_scenes import REFERENCE_DATA, box, furniture
 
 WHITE, WOOD, RED = (0.75, 0.75, 0.72), (0.5, 0.32, 0.18), (0.6, 0.25, 0.2)
 
-#: Height by which lamps hang below the ceiling, in meters.
-LAMP_GAP = 0.02
-
 
 def cornell_box() -> core.Environment:
     """The published Cornell box with its front open, each polygon a surface: 33 of them."""
@@ -32,38 +29,25 @@ def cornell_box() -> core.Environment:
 
 def furnished_room() -> core.Environment:
     """A closed room of 5 x 4 x 2.6 m with a cupboard, a bed, a table board and a stool, and one lamp."""
-    walls, furnishing = box((0, 0, 0), (5, 4, 2.6), inward=True), furniture()
-    lamp = _lamp((1.9, 1.6, 2.6), (2.7, 2.2))
-    return _lit(
-        walls + furnishing + lamp, [WHITE] * len(walls) + [WOOD] * len(furnishing) + [(0, 0, 0)] * len(lamp), len(lamp)
-    )
+    return _lit([(box((0, 0, 0), (5, 4, 2.6), inward=True), WHITE), (furniture(), WOOD)], (1.9, 1.6), (2.7, 2.2))
 
 
 def two_rooms() -> core.Environment:
     """Two closed rooms of 4 x 4 x 2.6 m and a doorway between them; the lamp hangs in one."""
-    walls = box((0, 0, 0), (8.1, 4, 2.6), inward=True)
-    parts = (
-        box((4, 0, 0), (4.1, 1.5, 2.6), without=(2, 4, 5)),
-        box((4, 2.4, 0), (4.1, 4, 2.6), without=(3, 4, 5)),
-        box((4, 1.5, 2.1), (4.1, 2.4, 2.6), without=(2, 3, 5)),
-    )
-    partition = [polygon for part in parts for polygon in part]
-    lamp = _lamp((1.5, 1.5, 2.6), (2.5, 2.5))
-    colors = [WHITE] * len(walls) + [RED] * len(partition) + [(0, 0, 0)] * len(lamp)
-    return _lit(walls + partition + lamp, colors, len(lamp))
+    partition = box((4, 0, 0), (4.1, 1.5, 2.6), without=(2, 4, 5))
+    partition += box((4, 2.4, 0), (4.1, 4, 2.6), without=(3, 4, 5))
+    partition += box((4, 1.5, 2.1), (4.1, 2.4, 2.6), without=(2, 3, 5))
+    return _lit([(box((0, 0, 0), (8.1, 4, 2.6), inward=True), WHITE), (partition, RED)], (1.5, 1.5), (2.5, 2.5))
 
 
-def _lamp(low, high) -> list[np.ndarray]:
-    """A rectangle under the ceiling that looks down; its lowest number is its corner's height."""
-    (left, front, ceiling), (right, back) = low, high
-    height = ceiling - LAMP_GAP
-    return [np.array([(left, front, height), (left, back, height), (right, back, height), (right, front, height)])]
-
-
-def _lit(polygons, colors, lamps) -> core.Environment:
+def _lit(parts, low, high) -> core.Environment:
+    """Polygons of one color a part, and a flat black box under the ceiling whose lower side glows."""
+    lamp = box((*low, 2.55), (*high, 2.58))
+    polygons = [polygon for part, _ in parts for polygon in part] + lamp
+    colors = [color for part, color in parts for _ in part] + [(0.0, 0.0, 0.0)] * len(lamp)
     emission = np.zeros((len(polygons), 3))
-    emission[len(polygons) - lamps :] = (12.0, 11.0, 9.0)
-    return core.Environment.from_polygons(polygons, np.array(colors, dtype=float), emission)
+    emission[len(polygons) - 2] = (12.0, 11.0, 9.0)  # of the box's sides the last but one is its lower
+    return core.Environment.from_polygons(polygons, np.array(colors), emission)
 
 
 SCENES: dict[str, Callable[[], core.Environment]] = {

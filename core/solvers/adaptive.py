@@ -34,6 +34,7 @@ def solve_adaptively(
     tolerance: float = 1e-6,
     max_iterations: int | None = None,
     callback: Callback | None = None,
+    factor_method: str = "auto",
     **choices,
 ) -> TwoLevelSolution:
     """Two-level solution whose elements are halved where light changes.
@@ -47,7 +48,7 @@ def solve_adaptively(
         channel.
     limits : SubdivisionLimits, optional
         `element_max` is the size to begin with, `element_min` and `max_elements` end the division.
-    solver, tolerance, max_iterations, callback, **choices
+    solver, tolerance, max_iterations, callback, factor_method, **choices
         As in `two_level`.
 
     Returns
@@ -67,7 +68,7 @@ def solve_adaptively(
     if not error > 0:
         raise SettingsError(f"Error between neighbors must be above 0, not {error}")
     hierarchy = Hierarchy.build(environment, limits)
-    rows = PatchRows(hierarchy, **choices)
+    rows = PatchRows(hierarchy, factor_method, **choices)
     # A row for each node, in the order of nodes; those above the first elements have none.
     known = np.zeros((len(hierarchy.corners), len(hierarchy.patch_nodes)))
     fresh, computed = hierarchy.elements, 0

@@ -157,6 +157,7 @@ def two_level(
     tolerance: float = 1e-6,
     max_iterations: int | None = None,
     callback: Callback | None = None,
+    factor_method: str = "auto",
     **choices,
 ) -> TwoLevelSolution:
     """Divide surfaces into patches and elements, compute the factors between them, and solve.
@@ -169,9 +170,11 @@ def two_level(
         Sizes of patches and elements.
     solver, tolerance, max_iterations, callback
         Of the system of patches.
+    factor_method : str
+        ``method`` of the form factors; those that know patches only are refused.
     **choices
-        Of the form factors: ``method``, ``visibility``, ``accuracy``, ``seed``, ``threads`` and options of the method,
-        as in `radiosity.core.form_factors`; methods that know patches only are refused.
+        Of the form factors: ``visibility``, ``accuracy``, ``seed``, ``threads`` and options of the method, as in
+        `radiosity.core.form_factors`.
 
     Returns
     -------
@@ -186,7 +189,7 @@ def two_level(
         If a name is unknown or a value out of range.
     """
     hierarchy = Hierarchy.build(environment, limits)
-    rows = PatchRows(hierarchy, **choices)
+    rows = PatchRows(hierarchy, factor_method, **choices)
     nodes = hierarchy.elements
     solution = rows.solve(hierarchy, rows.of(hierarchy, nodes), solver, tolerance, max_iterations, callback)
     return replace(solution, hierarchy=hierarchy, rows=len(nodes))
@@ -199,14 +202,14 @@ class PatchRows:
     ----------
     hierarchy : Hierarchy
         Whose patches are seen; those who look may be nodes of a refined one.
-    **choices
+    factor_method, accuracy, **choices
         As in `two_level`.
     """
 
-    def __init__(self, hierarchy: Hierarchy, accuracy: float = 1e-3, **choices):
+    def __init__(self, hierarchy: Hierarchy, factor_method: str = "auto", accuracy: float = 1e-3, **choices):
         self.patches = hierarchy.polygons(hierarchy.patch_nodes)
         self.accuracy = accuracy
-        self._rows: RowsOnDemand = rows_on_demand(self.patches, accuracy=accuracy, **choices)
+        self._rows: RowsOnDemand = rows_on_demand(self.patches, factor_method, accuracy=accuracy, **choices)
 
     def of(self, hierarchy: Hierarchy, nodes: np.ndarray) -> np.ndarray:
         """(r, p) factors from nodes to patches."""

@@ -8,7 +8,7 @@ from radiosity.core.discretization.hierarchy import Hierarchy, SubdivisionLimits
 from radiosity.core.errors import SceneTooLargeError, SettingsError
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-BESIDE = SQUARE + (1, 0, 0)
+BESIDE = SQUARE + np.array([1, 0, 0])
 WALL = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0]], dtype=float)
 TRIANGLE = np.array([[0, 0, 1], [1, 0, 1], [0.3, 0.8, 1]], dtype=float)
 CONCAVE = np.array([[0, 0, 2], [2, 0, 2], [2, 1, 2], [1, 1, 2], [1, 2, 2], [0, 2, 2]], dtype=float)

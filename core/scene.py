@@ -154,6 +154,20 @@ class Sky:
 
     radiance: np.ndarray
 
+    def cells(self, directions: np.ndarray) -> np.ndarray:
+        """(n,) int32 cell, row by row, that each direction (n, 3) of any length leads to."""
+        bands, columns = self.radiance.shape[:2]
+        if bands * columns == 1:
+            return np.zeros(len(directions), np.int32)
+        height = directions[:, 2] / np.linalg.norm(directions, axis=1)
+        band = np.clip((height + 1) * (bands / 2), 0, bands - 1).astype(np.int32)
+        azimuth = np.arctan2(directions[:, 1], directions[:, 0]) * (columns / (2 * np.pi))
+        return band * columns + (azimuth % columns).astype(np.int32) % columns
+
+    def towards(self, directions: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance that arrives from directions (n, 3)."""
+        return self.radiance.reshape(-1, 3)[self.cells(directions)]
+
 
 @dataclass(frozen=True)
 class Scene:

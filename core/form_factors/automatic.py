@@ -7,7 +7,8 @@ while rays serve a whole row at once and cost nearly the square of it. Clipped f
 those of rays as a standard error.
 
 Choose it unless a method is wanted by name. Cost: that of what it chooses, and the test for blockers, three products of
-n x n matrices. Limits: beyond `MOST_PATCHES` all pairs take rays; so do environments where blocked pairs are many.
+n x n matrices; rays leave only from patches of which a pair may be blocked. Limits: beyond `MOST_PATCHES` all pairs
+take rays; so do blocked pairs where they are many.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ FAST_SHARE = 0.01
 MOST_PATCHES = 4096
 
 #: Seconds at an accuracy of 1e-4 of a clipped pair and of a row of rays, and the powers of 1 / accuracy by which they
-#: grow. Measured on 2 cores: the Cornell box's 233 blocked pairs took 1.5, 2.4 and 13 s for 1e-3, 1e-4 and 1e-6, its 33
-#: rows of rays 0.6 and 33 s for 1e-3 and 1e-4. Pairs took 3 to 45 ms in other rooms.
-CLIPPED_SECONDS, CLIPPED_GROWTH = 0.01, 0.4
+#: grow. Measured on 2 cores: the Cornell box's 233 blocked pairs took 0.5, 0.9 and 6.6 s for 1e-3, 1e-4 and 1e-6, its
+#: 33 rows of rays 0.6 and 33 s for 1e-3 and 1e-4. Pairs took 1 to 15 ms in other rooms.
+CLIPPED_SECONDS, CLIPPED_GROWTH = 0.004, 0.44
 ROW_SECONDS, ROW_GROWTH = 1.0, 1.7
 
 #: Seconds that clipping may take where rays would take less: its errors have a bound, and no blocker is missed.
@@ -73,21 +74,10 @@ def automatic_rows(
     counts = {"contour_integral": count * (count - 1) // 2 - pairs}
     if not pairs:
         return free, counts
-    if _clipping_pays(pairs, count, accuracy):
+    rows = blocked.any(axis=1)
+    if _clipping_pays(pairs, int(rows.sum()), accuracy):
         return _clipped(environment, free, blocked, accuracy), {**counts, "point_to_polygon": pairs}
-    cast = hemisphere_rows(environment, accuracy, seed, threads)
-    matrix = np.where(blocked, cast.matrix, free.matrix)
-    # That nothing escapes is known best from the rays; how much does, from the better factors.
-    open_ = cast.escaped > accuracy + cast.leaks
-    mixed = SampledRows(
-        matrix,
-        np.where(open_, np.maximum(1 - matrix.sum(axis=1), 0), cast.escaped),
-        np.maximum(np.where(blocked.any(axis=1), cast.errors, 0), free.errors),
-        cast.samples,
-        cast.rays,
-        cast.leaks,
-    )
-    return mixed, {**counts, "hemisphere": count}
+    return _cast(environment, free, blocked, accuracy, seed, threads), {**counts, "hemisphere": int(rows.sum())}
 
 
 def _blockable_patches(environment):
@@ -104,6 +94,24 @@ def _clipping_pays(pairs, rows, accuracy):
     finer = 1e-4 / accuracy
     clipped = pairs * CLIPPED_SECONDS * finer**CLIPPED_GROWTH
     return clipped <= max(rows * ROW_SECONDS * finer**ROW_GROWTH, CLIPPED_ALLOWANCE)
+
+
+def _cast(environment, free, blocked, accuracy, seed, threads):
+    """Rows of the contour integral with blocked pairs replaced by those of rays, which only their patches cast."""
+    rows = blocked.any(axis=1)
+    cast = hemisphere_rows(environment, accuracy, seed, threads, wanted=rows)
+    matrix = np.where(blocked, cast.matrix, free.matrix)
+    rest = np.maximum(1 - matrix.sum(axis=1), 0)
+    # That nothing escapes is known best from the rays; how much does, from the better factors.
+    tight = rows & (cast.escaped <= accuracy + cast.leaks)
+    return SampledRows(
+        matrix,
+        np.where(tight, cast.escaped, rest),
+        np.maximum(np.where(rows, cast.errors, 0), free.errors),
+        np.where(rows, cast.samples, free.samples),
+        cast.rays,
+        np.where(rows, cast.leaks, 0),
+    )
 
 
 def _clipped(environment, free, blocked, accuracy):

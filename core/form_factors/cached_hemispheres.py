@@ -177,6 +177,13 @@ class HitTable:
         outside[self.outside_row] = True
         return outside
 
+    def is_back(self) -> np.ndarray:
+        """(rows,) bool: backs of patches, and backs that reflect nothing."""
+        back = np.zeros(self.rows, bool)
+        back[self.patches.count : self.sky_start] = True
+        back[self.black_row] = True
+        return back
+
     def look_up(self, hits: dict, directions: np.ndarray) -> np.ndarray:
         """Row (n,) int32 that each ray leads to."""
         triangles = hits["primID"]
@@ -186,7 +193,7 @@ class HitTable:
         rows = np.full(len(triangles), self.outside_row, np.int32)
         rows[met] = self._patch_rows({name: hits[name][met] for name in _USED}, directions[met])
         if self.sky is not None:
-            rows[~met] = self.sky_start + self._sky_cell(directions[~met])
+            rows[~met] = self.sky_start + self.sky.cells(directions[~met])
         return rows
 
     def _patch_rows(self, hits: dict, directions: np.ndarray) -> np.ndarray:
@@ -201,15 +208,6 @@ class HitTable:
             rows[back] += self.patches.count
             rows[back[self.black_back[triangles[back]]]] = self.black_row
         return rows
-
-    def _sky_cell(self, directions: np.ndarray) -> np.ndarray:
-        bands, columns = self.sky.radiance.shape[:2]
-        if bands * columns == 1:
-            return np.zeros(len(directions), np.int32)
-        height = directions[:, 2] / np.linalg.norm(directions, axis=1)
-        band = np.clip((height + 1) * (bands / 2), 0, bands - 1).astype(np.int32)
-        azimuth = np.arctan2(directions[:, 1], directions[:, 0]) * (columns / (2 * np.pi))
-        return band * columns + (azimuth % columns).astype(np.int32) % columns
 
 
 @dataclass(frozen=True)

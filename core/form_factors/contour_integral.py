@@ -124,7 +124,7 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
     blocked = blockable_faces(faces) if sight is not None else None
     for begin in range(0, len(faces), step):
         rows, rest = columns[begin : begin + step], columns[begin:]
-        values, worst = _block(faces, rows, rest, accuracy if fast else 0.0)
+        values, worst = face_block(faces, rows, rest, accuracy if fast else 0.0, rest > rows[:, None])
         if sight is not None:
             here, there = np.nonzero((values > 0) & blocked[rows[0] : rows[-1] + 1, begin:])
             smaller = np.minimum(faces.areas[rows[here]], faces.areas[rest[there]])
@@ -162,12 +162,12 @@ def blockable_faces(faces: Faces) -> np.ndarray:
     return blockable(low, high, tolerance)
 
 
-def _block(faces, rows, columns, accuracy):
-    """Exchange areas (r, c) of pairs row before column, and bounds of the error of the factor of the smaller one."""
+def face_block(faces, rows, columns, accuracy, wanted=True):
+    """Exchange areas (r, c) of wanted pairs, and bounds of the error of the factor of the smaller one."""
     tolerance = faces.tolerance(rows[:, None], columns)
     low, high = faces.height_ranges(rows, columns)
     other_low, other_high = (array.T for array in faces.height_ranges(columns, rows))
-    seen = (high > tolerance) & (other_high > tolerance) & (columns > rows[:, None])
+    seen = (high > tolerance) & (other_high > tolerance) & wanted
     values, errors = np.zeros(seen.shape), np.zeros(seen.shape)
     if accuracy > 0:
         sampled, bounds = center_rule(faces, rows, columns)

@@ -24,11 +24,15 @@ from ..frames import tangents
 from ..visibility.zbuffer import Loops, item_buffer
 from .delta_factors import side_density, side_integrals, top_density, top_integrals
 from .hemisphere import SampledRows
-from .projection import facing_sides, projection_rows
+from .point_rows import PointRows
+from .projection import facing_sides, point_resolution, projection_points, projection_rows
 
 #: Pixels along a side of the top face. Many coarse hemicubes serve a patch better than a few fine ones: aliasing of
 #: independent hemicubes averages out, and their points integrate over the patch.
 RESOLUTION = 32
+
+#: Pixels along a side of the top face of a single point's hemicube, at an accuracy of 3 % of its light.
+POINT_RESOLUTION = 64
 
 #: Independent repetitions of each row, for the error estimate.
 REPETITIONS = 4
@@ -191,5 +195,34 @@ def hemicube_rows(
     SettingsError
         If the resolution is below 2 or no whole number.
     """
-    cubes = [Hemicube.of(resolution + more) for more in range(REPETITIONS)]
-    return projection_rows(environment, cubes, accuracy, seed)
+    return projection_rows(environment, hemicubes(resolution), accuracy, seed)
+
+
+def hemicubes(resolution: int = RESOLUTION) -> list[Hemicube]:
+    """Cubes of the independent repetitions, each of one pixel more than the one before."""
+    return [Hemicube.of(resolution + more) for more in range(REPETITIONS)]
+
+
+def hemicube_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, by one hemicube on each.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        ``zbuffer``: the technique brings its own.
+    accuracy : float
+        Relative error wanted of the light that a point gathers, from which the resolution follows: see
+        `point_resolution`.
+    seed : int
+        Turns each hemicube about its normal.
+    threads : int
+        Not used.
+
+    Returns
+    -------
+    PointRows
+    """
+    return projection_points(environment, Hemicube.of(point_resolution(POINT_RESOLUTION, accuracy)), seed)

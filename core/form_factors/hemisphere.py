@@ -18,6 +18,7 @@ ray is met: faces are traced slightly in front of their polygons.
 from __future__ import annotations
 
 import logging
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ import numpy as np
 from ..environment import Environment
 from ..errors import SettingsError
 from ..visibility.embree import OFFSET, RayEngine
+from .point_rows import PointRows, shifts_of_names
 from .sampling import PatchSampler, frames, hemisphere_directions, kronecker_points
 
 #: Independent repetitions of each row: enough for an error estimate that is itself good to a quarter.
@@ -36,6 +38,9 @@ MOST_RAYS = 2**21
 
 #: Rays in flight: about 60 MB of origins, directions and hits.
 BLOCK_RAYS = 2**18
+
+#: Rays of a single point at an accuracy of 3 % of its light, as many as the automatic bake takes.
+POINT_RAYS = 384
 
 #: Fall of the error with the number of rays, by sampling: 1/2 for independent rays; low discrepancy lies between that
 #: and 5/8, the limit for edges of patches seen in four dimensions.
@@ -76,9 +81,14 @@ class SampledRows:
 
 
 def hemisphere_rows(
-    environment: Environment, accuracy: float, seed: int = 0, threads: int = 0, sampling: str = "low_discrepancy"
+    environment: Environment,
+    accuracy: float,
+    seed: int = 0,
+    threads: int = 0,
+    sampling: str = "low_discrepancy",
+    wanted: np.ndarray | None = None,
 ) -> SampledRows:
-    """Form factors of all patches by ray casting.
+    """Form factors of all patches, or of some, by ray casting.
 
     Parameters
     ----------
@@ -90,6 +100,8 @@ def hemisphere_rows(
         Threads of the ray engine; 0 takes all cores. The result does not depend on it.
     sampling : str
         ``low_discrepancy``, or ``random`` for independent rays, whose error falls more slowly.
+    wanted : (n,) bool, optional
+        Patches to cast rays from; the rows of others stay 0. A row does not depend on which others are wanted.
 
     Returns
     -------
@@ -107,28 +119,23 @@ def hemisphere_rows(
     """
     if sampling not in FALLS:
         raise SettingsError(f"Unknown sampling {sampling!r} of the hemisphere: choose {', '.join(FALLS)}")
-    caster = _Caster(environment, threads, sampling)
+    caster = RowCaster(environment, threads, sampling)
     count = len(environment)
-    matrix, escaped, errors = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    samples = np.zeros(count, dtype=np.int64)
-    radiating = np.flatnonzero(environment.areas > 0)
-    rays = np.zeros(count, dtype=np.int64)
-    rays[radiating] = FIRST_RAYS
-    pending, rounds, cast = radiating, 0, 0
-    while len(pending):
-        cast += int(rays[pending].sum()) * REPETITIONS
-        for size in np.unique(rays[pending]):
-            for rows in _row_blocks(pending[rays[pending] == size], int(size), count):
-                shares, row_errors = caster.rows(rows, int(size), (seed, rounds))
-                matrix[rows], escaped[rows] = shares[:, :-1], shares[:, -1]
-                errors[rows], samples[rows] = row_errors, size * REPETITIONS
-        pending = pending[(errors[pending] > accuracy) & (rays[pending] < MOST_RAYS)]
-        wanted = rays[pending] * np.clip((errors[pending] / accuracy) ** (1 / FALLS[sampling]), 2, 64)
-        rays[pending] = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 2))), MOST_RAYS).astype(np.int64)
-        rounds += 1
-    if len(radiating) and errors.max() > accuracy:
+    rows = np.arange(count) if wanted is None else np.flatnonzero(wanted)
+    *found, cast = caster.refined(rows, accuracy, seed)
+    matrix, escaped, errors, samples = (_spread(values, rows, count) for values in found)
+    if count and errors.max() > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: ray limit", errors.max(), accuracy)
     return SampledRows(matrix, escaped, errors, samples, cast, seam_leaks(environment, caster.offset))
+
+
+def _spread(values, rows, count):
+    """Values of some rows among zeros for all others."""
+    if len(rows) == count:
+        return values
+    spread = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+    spread[rows] = values
+    return spread
 
 
 def seam_leaks(environment: Environment, offset: float) -> np.ndarray:
@@ -158,24 +165,64 @@ def _independent(rows: np.ndarray, count: int, seed: tuple[int, ...]) -> np.ndar
     return np.stack([np.random.default_rng((*seed, int(row))).random((count, 4)) for row in rows])
 
 
-class _Caster:
-    """Rays from patches, counted by the patch they meet."""
+class RowCaster:
+    """Rays from receivers, counted by the patch they meet.
 
-    def __init__(self, environment: Environment, threads: int, sampling: str):
+    Parameters
+    ----------
+    environment : Environment
+        What is met, and what sends unless `of_receivers` puts others in its place.
+    threads : int
+    sampling : str
+        A key of `FALLS`.
+    """
+
+    def __init__(self, environment: Environment, threads: int, sampling: str = "low_discrepancy"):
         self.sampling = sampling
         self.count = len(environment)
-        self.normals = environment.normals
-        self.two_sided = environment.two_sided
-        self.frames = frames(environment.normals)
-        self.sampler = PatchSampler(environment)
+        self.met_normals, self.met_two_sided = environment.normals, np.append(environment.two_sided, False)
         corners = environment.vertices[environment.triangles]
         owners = environment.triangle_patches
         size = np.ptp(corners.reshape(-1, 3), axis=0).max() if len(corners) else 0.0
-        shift = np.where(self.two_sided, 0, FACE_SHIFT * OFFSET * size)[owners]
-        corners = corners + (shift[:, None] * self.normals[owners])[:, None, :]
+        shift = np.where(environment.two_sided, 0, FACE_SHIFT * OFFSET * size)[owners]
+        corners = corners + (shift[:, None] * environment.normals[owners])[:, None, :]
         self.engine = RayEngine(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), threads)
         self.owners = np.append(owners, self.count)
         self.offset = self.engine.offset
+        self._send_from(environment, np.arange(self.count))
+
+    def _send_from(self, receivers, names):
+        self.names = names
+        self.areas, self.normals, self.two_sided = receivers.areas, receivers.normals, receivers.two_sided
+        self.frames = frames(receivers.normals)
+        self.sampler = PatchSampler(receivers)
+
+    def of_receivers(self, receivers: Environment, names: np.ndarray) -> RowCaster:
+        """The same patches as met from other polygons, whose random shifts go by their `names` (r,) int."""
+        other = copy(self)
+        other._send_from(receivers, names)
+        return other
+
+    def refined(self, rows: np.ndarray, accuracy: float, seed: int):
+        """Factors (r, n), escaped shares, errors and samples (r,) of some receivers, and rays cast.
+
+        A row does not depend on which others are asked for.
+        """
+        matrix, escaped, errors = np.zeros((len(rows), self.count)), np.zeros(len(rows)), np.zeros(len(rows))
+        samples, rays = np.zeros(len(rows), dtype=np.int64), np.full(len(rows), FIRST_RAYS)
+        pending, rounds, cast = np.flatnonzero(self.areas[rows] > 0), 0, 0
+        while len(pending):
+            cast += int(rays[pending].sum()) * REPETITIONS
+            for size in np.unique(rays[pending]):
+                for part in _row_blocks(pending[rays[pending] == size], int(size), self.count):
+                    shares, row_errors = self.rows(rows[part], int(size), (seed, rounds))
+                    matrix[part], escaped[part] = shares[:, :-1], shares[:, -1]
+                    errors[part], samples[part] = row_errors, size * REPETITIONS
+            pending = pending[(errors[pending] > accuracy) & (rays[pending] < MOST_RAYS)]
+            wanted = rays[pending] * np.clip((errors[pending] / accuracy) ** (1 / FALLS[self.sampling]), 2, 64)
+            rays[pending] = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 2))), MOST_RAYS).astype(np.int64)
+            rounds += 1
+        return matrix, escaped, errors, samples, cast
 
     def rows(self, rows: np.ndarray, size: int, seed: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Mean shares (r, n + 1) over all repetitions, last column escaped, and the standard error of the worst."""
@@ -184,12 +231,12 @@ class _Caster:
         squares = np.zeros_like(total)
         for repetition in range(REPETITIONS):
             # Drawn for all patches, so that a row's shift does not depend on the rows that share its block.
-            shifts = np.random.default_rng((*seed, repetition)).random((self.count, 4))[rows]
+            shifts = np.random.default_rng((*seed, repetition)).random((self.names.max() + 1, 4))[self.names[rows]]
             shares = 0
             for begin in range(0, size, BLOCK_RAYS):
                 part = table[begin : begin + BLOCK_RAYS]
                 if self.sampling == "random":
-                    points = _independent(rows, len(part), (*seed, repetition, begin))
+                    points = _independent(self.names[rows], len(part), (*seed, repetition, begin))
                 else:
                     points = (part + shifts[:, None]) % 1
                 shares = shares + self._count(rows, points)
@@ -212,9 +259,53 @@ class _Caster:
         directions = np.matmul(local, self.frames[rows])
         origins += (self.offset * side)[:, :, None] * self.normals[rows][:, None]
         directions = directions.reshape(-1, 3)
-        triangles = self.engine.closest(origins.reshape(-1, 3), directions)[0]
-        met = self.owners[triangles]
-        facing = np.einsum("ri,ri->r", directions, self.normals[np.minimum(met, self.count - 1)]) < 0
-        seen = facing | np.append(self.two_sided, False)[met]
-        bins = np.where(seen, met, self.count) + np.repeat(np.arange(len(rows)) * (self.count + 1), length)
+        bins = self.met(origins.reshape(-1, 3), directions) + np.repeat(np.arange(len(rows)) * (self.count + 1), length)
         return np.bincount(bins, minlength=len(rows) * (self.count + 1)).reshape(len(rows), -1)
+
+    def met(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(r,) patch whose radiating side each ray meets, or the number of patches for none."""
+        met = self.owners[self.engine.closest(origins, directions)[0]]
+        facing = np.einsum("ri,ri->r", directions, self.met_normals[np.minimum(met, self.count - 1)]) < 0
+        seen = facing | self.met_two_sided[met]
+        return np.where(seen, met, self.count)
+
+
+def hemisphere_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, as shares of rays of equal contribution.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        ``embree``.
+    accuracy : float
+        Relative error wanted of the light that a point gathers: `POINT_RAYS` at 3 %, and by the square root of that.
+    seed : int
+        Turns the directions of each point.
+    threads : int
+
+    Returns
+    -------
+    PointRows
+
+    Raises
+    ------
+    MissingRayEngineError
+        If rays cannot be traced on this platform.
+    """
+    caster = RowCaster(environment, threads, "low_discrepancy")
+    rays = int(np.clip(8 * round(POINT_RAYS * (0.03 / accuracy) ** 0.5 / 8), 128, 1024))
+    table = kronecker_points(rays, 2)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        local = hemisphere_directions((table + shifts_of_names(names, seed, 2)[:, None]) % 1)
+        directions = np.matmul(local, frames(normals)).reshape(-1, 3)
+        bins = caster.met(np.repeat(points, rays, axis=0), directions) + np.repeat(
+            np.arange(len(points)) * (caster.count + 1), rays
+        )
+        hits = np.bincount(bins, minlength=len(points) * (caster.count + 1)).reshape(len(points), -1)
+        return hits[:, :-1] / rays
+
+    return rows

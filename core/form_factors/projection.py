@@ -5,21 +5,21 @@ a known share of the power that leaves the point. A patch's row is the mean over
 camera turned about the normal by another angle at each, so that the errors of pixels that straddle a border average
 out. Each row is computed several times with independent shifts of the points;
 their scatter is the error estimate. Rows whose error is above the wanted one get as many more points as its fall asks
-for, but only their uncertain factors are computed anew. These are mostly those of neighbors, so that only what lies
-between a patch and these has to be drawn.
+for, but only their uncertain factors are computed anew: see `uncertain_factors`.
 
 Coherence: points of one patch and of its neighbors in the list are projected together. What lies behind all their
 tangent planes is dropped once for all of them and all their faces; what remains is the list from which each view takes
 what it has in its field. Measured on 1,056 patches of a room with two subdivided boxes, CPU time of rows without the
 shared list over time with it: 1.06 for a wall, 1.46 for a box.
 
-Cost: about a millisecond for each point and a thousand polygons. Memory: blocks of rows, about 100 MB whatever n.
+Cost: about a millisecond for each point and a thousand polygons. Memory: blocks of rows, bounded whatever n is.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +29,8 @@ from ..frames import turned_frames
 from ..visibility.zbuffer import Loops
 from .hemisphere import SampledRows
 from .patch_points import PatchPoints, fibonacci_lattice, fold
+from .point_rows import PointRows, shifts_of_names
+from .uncertain_factors import Between, rebalanced, steadied, uncertain
 
 #: Cameras times accuracy that a computation takes at least, spread over its patches: where these are few they cost so
 #: little that each gets more points than the accuracy asks for.
@@ -47,21 +49,7 @@ FALL = 1.2
 #: Part of a turn by which each angle of the turned cameras differs from the one before.
 GOLDEN = (5**0.5 - 1) / 2
 
-#: Error, as a share of the one wanted, from which on a factor of a row is computed anew. Each factor's own error is
-#: known from few repetitions only: one that seems right by luck shall not be left as it is.
-UNCERTAIN = 0.5
-
-#: Classes of factors that count as alike, each of a fourth of the one before: the last holds all below 4e-6.
-CLASSES = 10
-
-#: Uncertain factors of a row from which on everything is drawn.
-MANY = 128
-
-#: Share that escapes by rounding where nothing does.
-NOTHING = 1e-9
-
-#: Pixels plus polygons of all cameras in one block; entries of the rows computed together, and of pairs of a factor and
-#: a polygon that may be in between.
+#: Pixels plus polygons of all cameras in one block, and entries of the rows refined together.
 BLOCK_PIXELS = 2**20
 BLOCK_ENTRIES = 2**20
 
@@ -112,15 +100,8 @@ def projection_rows(environment: Environment, cameras: Sequence[Camera], accurac
         pixel has met; the camera's lost share is added. `rays` is 0.
     """
     count = len(environment)
-    matrix, escaped, errors = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    samples = np.zeros(count, dtype=np.int64)
-    radiating = np.flatnonzero(environment.areas > 0)
-    scene = _Scene(environment, cameras)
-    lost = scene.lost
-    level = _first_level(len(radiating) * len(cameras), accuracy)
-    length = max(1, BLOCK_ENTRIES // count)
-    for rows in np.split(radiating, range(length, len(radiating), length)):
-        matrix[rows], escaped[rows], errors[rows], samples[rows] = scene.refined_rows(rows, level, accuracy, seed)
+    lost = max(camera.lost for camera in cameras)
+    matrix, escaped, errors, samples = ProjectedRows(environment, cameras).refined(np.arange(count), accuracy, seed)
     if errors.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: limit of points", errors.max(), accuracy)
     return SampledRows(
@@ -146,20 +127,47 @@ def facing_sides(points: np.ndarray, environment: Environment, patches: np.ndarr
     return (points @ normals.T > np.einsum("ni,ni->n", normals, centroids)) | environment.two_sided[patches]
 
 
-class _Scene:
-    """Patches and the camera that looks at them."""
+class ProjectedRows:
+    """Patches and the cameras that look at them from receivers: the patches themselves, or others of `of_receivers`."""
 
     def __init__(self, environment: Environment, cameras: Sequence[Camera]):
-        self.environment = environment
+        self.environment = self.receivers = environment
         self.cameras = cameras
         self.loops = Loops.of(environment)
         self.points = PatchPoints(environment)
-        self.lost = max(camera.lost for camera in cameras)
+        self.between = Between(self.loops)
+        self.names = self.own = np.arange(len(environment))
 
-    def refined_rows(self, rows: np.ndarray, level: int, accuracy: float, seed: int):
-        """Factors (r, n), escaped shares (r,), errors (r,) and cameras (r,) of rows, from a level of lattices up."""
+    def of_receivers(self, receivers: Environment, names: np.ndarray, own: np.ndarray) -> ProjectedRows:
+        """The same patches as seen from other polygons, whose random shifts go by their `names` (r,) int.
+
+        `own` (r,) int is the patch that each lies on, and does not see.
+        """
+        other = copy(self)
+        other.receivers, other.points = receivers, PatchPoints(receivers)
+        other.between = Between(self.loops, Loops.of(receivers))
+        other.names, other.own = names, own
+        return other
+
+    def refined(self, rows: np.ndarray, accuracy: float, seed: int):
+        """Factors (r, n), escaped shares, errors and numbers of cameras (r,) of some receivers.
+
+        A row does not depend on which others are asked for.
+        """
+        matrix, escaped = np.zeros((len(rows), len(self.environment))), np.zeros(len(rows))
+        errors, samples = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        radiating = np.flatnonzero(self.receivers.areas[rows] > 0)
+        length = max(1, BLOCK_ENTRIES // len(self.environment))
+        for part in np.split(radiating, range(length, len(radiating), length)):
+            matrix[part], escaped[part], errors[part], samples[part] = self._refined(rows[part], accuracy, seed)
+        return matrix, escaped, errors, samples
+
+    def _refined(self, rows: np.ndarray, accuracy: float, seed: int):
+        """`refined` of radiating receivers, in one block."""
+        level = _first_level(int((self.environment.areas > 0).sum()) * len(self.cameras), accuracy)
         levels = np.full(len(rows), level)
-        factors, escaped, scatter, cameras = self._sample(rows, level, (seed, 0))
+        first, escaped, scatter, cameras = self._sample(rows, level, (seed, 0))
+        factors, anew = first.copy(), np.zeros(first.shape, dtype=bool)
         # A patch that no pixel met may still have up to a pixel's share at one of the points.
         pixel = max(camera.deltas.max() for camera in self.cameras)
         unseen = pixel / cameras
@@ -174,18 +182,18 @@ class _Scene:
             levels[pending] = np.minimum(levels[pending] + steps, MOST_LEVEL)
             for finer in np.unique(levels[pending]):
                 part = pending[levels[pending] == finer]
-                again = (scatter[part] > UNCERTAIN * accuracy) | (unseen[part] > accuracy)[:, None]
-                new, beyond, spread, cameras[part] = self._sample(rows[part], int(finer), (seed, number), again)
-                whole = again.all(axis=1)
-                escaped[part[whole]], unseen[part[whole]] = beyond[whole], pixel / cameras[part[whole]]
-                factors[part], scatter[part] = (
-                    np.where(again, new, factors[part]),
-                    np.where(again, spread, scatter[part]),
-                )
+                wanted = uncertain(scatter[part], accuracy) | (unseen[part] > accuracy)[:, None]
+                new, beyond, spread, cameras[part] = self._sample(rows[part], int(finer), (seed, number), wanted)
+                whole = wanted.all(axis=1)
+                first[part[whole]], escaped[part[whole]] = new[whole], beyond[whole]
+                unseen[part[whole]] = pixel / cameras[part[whole]]
+                anew[part] = (anew[part] | wanted) & ~whole[:, None]
+                factors[part] = np.where(wanted, new, factors[part])
+                scatter[part] = np.where(wanted, spread, scatter[part])
                 errors[part] = np.maximum(scatter[part].max(axis=1, initial=0), unseen[part])
-        # What leaves is the rest of a row whose factors were refined; that nothing leaves is known from the whole row.
-        open_ = escaped > self.lost + NOTHING
-        return factors, np.where(open_, np.maximum(1 - factors.sum(axis=1), 0), escaped), errors, cameras
+        lost = max(camera.lost for camera in self.cameras)
+        factors, escaped = rebalanced(factors, first, escaped, anew, lost, accuracy)
+        return factors, escaped, errors, cameras
 
     def _sample(self, rows: np.ndarray, level: int, seed: tuple[int, int], wanted: np.ndarray | None = None):
         """Mean factors (r, n), escaped shares (r,), standard errors (r, n) and cameras (r,) with lattices of a level.
@@ -198,65 +206,45 @@ class _Scene:
         table = fibonacci_lattice(level)
         at_once = max(1, BLOCK_PIXELS // (cells + count))
         length = max(1, at_once // len(table))
-        drawn = None if wanted is None else self._between(rows, wanted)
+        drawn = None if wanted is None else self.between(rows, wanted)
         for repetition, camera in enumerate(self.cameras):
             # Drawn for all patches, so that a row's points do not depend on which others are computed.
-            shifts = np.random.default_rng((*seed, repetition)).random((count, 3))[rows]
+            names = self.names[rows]
+            shifts = np.random.default_rng((*seed, repetition)).random((self.names.max() + 1, 3))[names]
             for start in range(0, len(rows), length):
                 part = slice(start, start + length)
                 which, points, weights = self.points(rows[part], fold(table + shifts[part, None, :2]))
+                # Numbered within each row, so that it does not depend on the others.
+                places = np.arange(len(which)) - np.searchsorted(which, which)
                 # Angles advance by the golden ratio from point to point.
-                turns = 2 * np.pi * (shifts[part][which, 2] + np.arange(len(which)) * GOLDEN)
+                turns = 2 * np.pi * (shifts[part][which, 2] + places * GOLDEN)
                 shares = np.zeros_like(total[part])
                 lists = None if drawn is None else drawn[part]
                 for first in range(0, len(which), at_once):
                     chunk = slice(first, first + at_once)
-                    views = which[chunk], points[chunk], weights[chunk], turns[chunk]
-                    self._add(camera, shares, rows[part], *views, lists)
+                    # Repetitions begin on either side in turn: their points may be odd in number.
+                    back = self.receivers.two_sided[rows[part]][which[chunk]] & ((places[chunk] + repetition) % 2 == 1)
+                    views = points[chunk], weights[chunk], turns[chunk], back
+                    self._add(camera, shares, rows[part], which[chunk], *views, lists)
                 total[part] += shares
                 squares[part] += shares * shares
         mean = total / len(self.cameras)
         variance = np.maximum(squares / len(self.cameras) - mean * mean, 0) / (len(self.cameras) - 1)
         cameras = self.points.pieces_of(rows) * len(table) * len(self.cameras)
-        mean[np.arange(len(rows)), rows] = 0
+        mean[np.arange(len(rows)), self.own[rows]] = 0
         factors, variance = mean[:, :-1], variance[:, :-1]
         if wanted is not None:
             factors, variance = factors * wanted, variance * wanted
-        return factors, mean[:, -1], np.sqrt(_steadied(variance, factors)), cameras
+        return factors, mean[:, -1], np.sqrt(steadied(variance, factors)), cameras
 
-    def _between(self, rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """(r, n) bool: polygons that may block a row's patch from one of its `wanted` (r, n) patches, and these.
-
-        They meet the box around both.
-        """
-        loops, count = self.loops, len(self.environment)
-        starts = loops.offsets[:-1]
-        low, high = (extreme.reduceat(loops.corners, starts, axis=0) for extreme in (np.minimum, np.maximum))
-        low, high = low - loops.edge_on, high + loops.edge_on
-        drawn = np.ones(wanted.shape, dtype=bool)
-        few = np.flatnonzero(wanted.sum(axis=1) <= MANY)
-        length = max(1, BLOCK_ENTRIES // (MANY * count))
-        for part in np.split(few, range(length, len(few), length)):
-            place, other = np.nonzero(wanted[part])
-            patch = rows[part][place]
-            least, most = np.minimum(low[patch], low[other]), np.maximum(high[patch], high[other])
-            meets = np.ones((len(place), count), dtype=bool)
-            for axis in range(3):
-                meets &= (low[:, axis] <= most[:, axis, None]) & (high[:, axis] >= least[:, axis, None])
-            firsts = np.flatnonzero(np.diff(place, prepend=-1))
-            drawn[part] = False
-            drawn[part[place[firsts]]] = np.logical_or.reduceat(meets, firsts, axis=0)
-        return drawn
-
-    def _add(self, camera, shares, rows, which, points, weights, turns, lists):
+    def _add(self, camera, shares, rows, which, points, weights, turns, back, lists):
         """Add to `shares` (r, n + 1) what cameras at some points see, last column what meets no radiating side.
 
         `lists` (r, n) bool tells which polygons are drawn for each row, if not all.
         """
         environment = self.environment
-        normals = environment.normals[rows[which]]
+        normals = self.receivers.normals[rows[which]]
         # Every other point of a two-sided patch looks from its back, at double weight either way in the mean.
-        back = environment.two_sided[rows[which]] & (np.arange(len(which)) % 2 == 1)
         normals = np.where(back[:, None], -normals, normals)
         # All points of a patch's side have one tangent plane.
         planes = np.unique(2 * which + back, return_index=True)[1]
@@ -283,20 +271,39 @@ class _Scene:
         shares[there, -1] += np.maximum(np.add.reduceat(weights, starts) - sums.sum(axis=1), 0)
 
 
-def _steadied(variances: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Variances (r, n), known from few repetitions, drawn halfway to the mean variance per factor of their like.
-
-    The largest of a thousand variances of three degrees of freedom each would else be five times the true one. Alike
-    are factors of a row that differ by less than 4: those of neighbors vary much more than those of distant patches.
-    """
-    classes = (np.log2(np.maximum(factors, 4.0**-CLASSES)) / -2).astype(np.int64).clip(0, CLASSES - 1)
-    classes += np.arange(len(factors))[:, None] * CLASSES
-    sums, spread = (np.bincount(classes.ravel(), a.ravel(), len(factors) * CLASSES) for a in (factors, variances))
-    common = spread / np.where(sums > 0, sums, 1)
-    return (variances + common[classes] * factors) / 2
-
-
 def in_front(points: np.ndarray, normals: np.ndarray, loops: Loops) -> np.ndarray:
     """Rows of the polygons that rise above the tangent plane of at least one of the points."""
     heights = normals @ loops.corners.T - np.einsum("pi,pi->p", points, normals)[:, None]
     return np.flatnonzero(np.maximum.reduceat(heights.max(axis=0), loops.offsets[:-1]) > loops.edge_on)
+
+
+def point_resolution(pixels: int, accuracy: float) -> int:
+    """Pixels along a side of a camera for single points, from those at an accuracy of 3 %.
+
+    The pixels' number grows as the accuracy falls, as the rays of a hemisphere do, within a factor of 2 either way.
+    """
+    return int(np.clip(round(pixels * (0.03 / accuracy) ** 0.5), pixels // 2, 2 * pixels))
+
+
+def projection_points(environment: Environment, camera: Camera, seed: int = 0) -> PointRows:
+    """Factors from points to all patches, by one camera on each, turned about the normal by an angle of its own."""
+    loops = Loops.of(environment)
+    count = len(environment)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        turns = 2 * np.pi * shifts_of_names(names, seed, 1)[:, 0]
+        out = np.empty((len(points), count))
+        at_once = max(1, BLOCK_PIXELS // (len(camera.deltas) + count))
+        for start in range(0, len(points), at_once):
+            part = slice(start, start + at_once)
+            candidates = in_front(points[part], normals[part], loops)
+            items = camera.items(points[part], turned_frames(normals[part], turns[part]), loops.select(candidates))
+            # One bin for what is not seen, and from there to the patches' own numbers.
+            names_of = np.append(candidates, count)
+            bins = names_of[items] + np.arange(len(items))[:, None] * (count + 1)
+            deltas = np.broadcast_to(camera.deltas, bins.shape).ravel()
+            seen = np.bincount(bins.ravel(), deltas, len(items) * (count + 1)).reshape(len(items), count + 1)
+            out[part] = seen[:, :-1] * facing_sides(points[part], environment)
+        return out
+
+    return rows

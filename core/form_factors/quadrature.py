@@ -12,6 +12,7 @@ the scatter of independent repetitions is below the wanted error.
 from __future__ import annotations
 
 import logging
+from copy import copy
 
 import numpy as np
 
@@ -78,38 +79,102 @@ def quadrature_rows(environment, visibility, accuracy, seed=0, threads=0) -> Sam
     those of `hemisphere_rows`; what escapes is the rest of each row.
     """
     count = len(environment)
-    if visibility == "none":
-        engine = None
-    elif visibility == "embree":
-        engine = _engine(environment, threads)
-    else:
-        engine = _Segments(make_visibility(visibility, environment, threads))
-    matrix, errors = np.zeros((count, count)), np.zeros(count)
-    samples, rays = np.zeros(count, dtype=np.int64), 0
-    pending = np.flatnonzero(environment.areas > 0)
-    for number, (points, level) in enumerate(ROUNDS):
-        matrix[pending], errors[pending], cast = _sampled_rows(
-            environment, engine, pending, np.arange(count), points, level, (seed, number)
-        )
-        samples[pending] = points * REPETITIONS
-        rays += cast
-        pending = pending[errors[pending] > accuracy]
-        if not len(pending):
-            break
-    else:
+    source = QuadratureRows(environment, visibility, threads)
+    matrix, errors, samples, rays = source.refined(np.arange(count), accuracy, seed)
+    if errors.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: sample limit", errors.max(), accuracy)
-    leaks = np.zeros(count) if engine is None else seam_leaks(environment, engine.offset)
+    leaks = np.zeros(count) if source.engine is None else seam_leaks(environment, source.engine.offset)
     return SampledRows(matrix, np.maximum(1 - matrix.sum(axis=1), 0), errors, samples, rays, leaks)
+
+
+class QuadratureRows:
+    """Closed forms to the patches of an environment from points of receivers: the patches, or those of `of_receivers`.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        Any that tests segments, or ``none``.
+    threads : int
+    """
+
+    def __init__(self, environment: Environment, visibility: str, threads: int = 0):
+        self.environment = self.receivers = environment
+        self.names = self.own = np.arange(len(environment))
+        if visibility == "none":
+            self.engine = None
+        elif visibility == "embree":
+            self.engine = _engine(environment, threads)
+        else:
+            self.engine = _Segments(make_visibility(visibility, environment, threads))
+
+    def of_receivers(self, receivers: Environment, names: np.ndarray, own: np.ndarray) -> QuadratureRows:
+        """The same patches as seen from other polygons, whose random shifts go by their `names` (r,) int.
+
+        `own` (r,) int is the patch that each lies on, and does not see.
+        """
+        other = copy(self)
+        other.receivers, other.names, other.own = receivers, names, own
+        return other
+
+    def refined(self, rows: np.ndarray, accuracy: float, seed: int):
+        """Factors (r, n), errors and samples (r,) of some receivers, and rays cast.
+
+        Where nothing blocks, a row does not depend on which others are asked for.
+        """
+        columns = np.arange(len(self.environment))
+        matrix, errors = np.zeros((len(rows), len(columns))), np.zeros(len(rows))
+        samples, rays = np.zeros(len(rows), dtype=np.int64), 0
+        pending = np.flatnonzero(self.receivers.areas[rows] > 0)
+        for number, (points, level) in enumerate(ROUNDS):
+            if not len(pending):
+                break
+            matrix[pending], errors[pending], cast = self.sampled(rows[pending], columns, points, level, (seed, number))
+            samples[pending] = points * REPETITIONS
+            rays += cast
+            pending = pending[errors[pending] > accuracy]
+        return matrix, errors, samples, rays
+
+    def sampled(self, rows, columns, points, level, seed):
+        """Factors (r, c), standard error of each row's worst (r,), and rays cast, from `points` points per patch."""
+        environment, receivers, engine = self.environment, self.receivers, self.engine
+        sampler = PatchSampler(receivers)
+        table = kronecker_points(points, 2)
+        total, squares, rays = np.zeros((len(rows), len(columns))), np.zeros((len(rows), len(columns))), 0
+        normals = np.repeat(receivers.normals[rows], points, axis=0)
+        # A two-sided patch is sampled on either side in turn.
+        flips = receivers.two_sided[rows][:, None] & (np.arange(points) % 2 == 1)
+        normals = np.where(flips.reshape(-1, 1), -normals, normals)
+        for repetition in range(REPETITIONS):
+            generator = np.random.default_rng((*seed, repetition))
+            shifts = generator.random((self.names.max() + 1, 2))[self.names[rows]]
+            origins = sampler(rows, (table + shifts[:, None]) % 1).reshape(-1, 3)
+            for column, source in enumerate(columns):
+                if environment.areas[source] <= 0:
+                    continue
+                two_sided = bool(environment.two_sided[source])
+                if engine is None:
+                    factors = point_to_polygon(origins, normals, environment.polygons[source], two_sided)
+                else:
+                    pieces = _pieces(environment, source, level)
+                    jitter = np.random.default_rng((*seed, repetition, int(source)))
+                    factors, cast = _visible_factors(origins, normals, pieces, two_sided, engine, jitter)
+                    rays += cast
+                means = factors.reshape(len(rows), points).mean(axis=1)
+                means[self.own[rows] == source] = 0
+                total[:, column] += means
+                squares[:, column] += means * means
+        mean = total / REPETITIONS
+        variance = np.maximum(squares / REPETITIONS - mean * mean, 0) / (REPETITIONS - 1)
+        return mean, np.sqrt(variance.max(axis=1)), rays
 
 
 def sampled_pair(environment, receiver, source, accuracy, seed=0, threads=0) -> tuple[float, float, int]:
     """Form factor from one patch to another among blockers, its standard error, and the rays cast."""
-    engine = _engine(environment, threads)
+    quadrature = QuadratureRows(environment, "embree", threads)
     rays = 0
     for number, (points, level) in enumerate(ROUNDS):
-        value, error, cast = _sampled_rows(
-            environment, engine, np.array([receiver]), np.array([source]), points, level, (seed, number)
-        )
+        value, error, cast = quadrature.sampled(np.array([receiver]), np.array([source]), points, level, (seed, number))
         rays += cast
         if error[0] <= accuracy:
             break
@@ -160,39 +225,6 @@ class _Segments:
 
 def _engine(environment: Environment, threads: int) -> RayEngine:
     return RayEngine(environment.vertices, environment.triangles, threads)
-
-
-def _sampled_rows(environment, engine, rows, columns, points, level, seed):
-    """Factors (r, c), standard error of each row's worst (r,), and rays cast, from `points` points per patch."""
-    sampler = PatchSampler(environment)
-    table = kronecker_points(points, 2)
-    total, squares, rays = np.zeros((len(rows), len(columns))), np.zeros((len(rows), len(columns))), 0
-    normals = np.repeat(environment.normals[rows], points, axis=0)
-    # A two-sided patch is sampled on either side in turn.
-    flips = environment.two_sided[rows][:, None] & (np.arange(points) % 2 == 1)
-    normals = np.where(flips.reshape(-1, 1), -normals, normals)
-    for repetition in range(REPETITIONS):
-        generator = np.random.default_rng((*seed, repetition))
-        shifts = generator.random((len(environment), 2))[rows]
-        origins = sampler(rows, (table + shifts[:, None]) % 1).reshape(-1, 3)
-        for column, source in enumerate(columns):
-            if environment.areas[source] <= 0:
-                continue
-            two_sided = bool(environment.two_sided[source])
-            if engine is None:
-                factors = point_to_polygon(origins, normals, environment.polygons[source], two_sided)
-            else:
-                pieces = _pieces(environment, source, level)
-                jitter = np.random.default_rng((*seed, repetition, int(source)))
-                factors, cast = _visible_factors(origins, normals, pieces, two_sided, engine, jitter)
-                rays += cast
-            means = factors.reshape(len(rows), points).mean(axis=1)
-            means[rows == source] = 0
-            total[:, column] += means
-            squares[:, column] += means * means
-    mean = total / REPETITIONS
-    variance = np.maximum(squares / REPETITIONS - mean * mean, 0) / (REPETITIONS - 1)
-    return mean, np.sqrt(variance.max(axis=1)), rays
 
 
 def _visible_factors(origins, normals, pieces, two_sided, engine, generator):

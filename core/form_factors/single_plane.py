@@ -21,10 +21,14 @@ from ..errors import SettingsError
 from ..visibility.zbuffer import Loops, item_buffer
 from .delta_factors import top_corner
 from .hemisphere import SampledRows
-from .projection import projection_rows
+from .point_rows import PointRows
+from .projection import point_resolution, projection_points, projection_rows
 
 #: Proxels along a side of the plane: about as many in all as a default hemicube has pixels.
 RESOLUTION = 48
+
+#: Proxels along a side of a single point's plane, at an accuracy of 3 % of its light.
+POINT_RESOLUTION = 96
 
 #: Independent repetitions of each row, for the error estimate.
 REPETITIONS = 4
@@ -179,6 +183,36 @@ def single_plane_rows(
     SettingsError
         If the resolution or the lost share is out of range.
     """
+    return projection_rows(environment, single_planes(accuracy, resolution, lost), accuracy, seed)
+
+
+def single_planes(accuracy: float, resolution: int = RESOLUTION, lost: float | None = None) -> list[SinglePlane]:
+    """Planes of the independent repetitions, each of one proxel more along a side than the one before."""
     lost = LOST_PART * accuracy if lost is None else lost
-    planes = [SinglePlane.of(lost, resolution + more) for more in range(REPETITIONS)]
-    return projection_rows(environment, planes, accuracy, seed)
+    return [SinglePlane.of(lost, resolution + more) for more in range(REPETITIONS)]
+
+
+def single_plane_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, by one plane above each.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        ``zbuffer``: the technique brings its own.
+    accuracy : float
+        Relative error wanted of the light that a point gathers; `LOST_PART` of it may be lost beside the plane, and the
+        resolution follows: see `point_resolution`.
+    seed : int
+        Turns each plane about its normal.
+    threads : int
+        Not used.
+
+    Returns
+    -------
+    PointRows
+    """
+    plane = SinglePlane.of(LOST_PART * accuracy, point_resolution(POINT_RESOLUTION, accuracy))
+    return projection_points(environment, plane, seed)

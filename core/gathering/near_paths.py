@@ -26,6 +26,7 @@ from ..lights.direct_light import direct_light
 from ..lights.sampling import PLASTIC
 from ..progress import shared_progress
 from ..solvers.patch_solution import PatchSolution
+from ..visibility.before_hits import before_hits
 from ..visibility.embree import CHUNK_RAYS, OFFSET
 
 #: A hit is near when it is nearer than this many sides of the patch that it meets. At two, what a patch that a shadow
@@ -41,9 +42,6 @@ MAX_STOPS = 16
 #: Rays to a light from each stop, and lights asked: other paths stop elsewhere, so little is needed.
 SHADOW_RAYS = 2
 MOST_LIGHTS = 6
-
-#: How far before what it meets a path goes on, at most half-way.
-SHORT = 4 * OFFSET
 
 #: What is left of a path's light when the patch is trusted after all.
 FAINT = 0.05
@@ -147,16 +145,8 @@ def _met(solution: PatchSolution, starts: np.ndarray, directions: np.ndarray, ge
         hits = solution.tracer.closest(origins, along, None if luck is None else luck[start:stop])
         rows[start:stop] = solution.hits_to_rows.look_up(hits, along)
         far = np.where(hits["primID"] >= 0, hits["tfar"], np.float32(np.inf))
-        normals = hits["Ng"] / np.maximum(np.linalg.norm(hits["Ng"], axis=1, keepdims=True), np.float32(1e-30))
-        cosines = np.einsum("ij,ij->i", normals, along)
-        normals[cosines > 0] *= -1
-        # Short of the hit, and lifted only where that is not enough: lifted from the hit itself a path would leave the
-        # room through the crack where its walls meet.
-        short = np.minimum(np.float32(SHORT), np.float32(0.5) * hits["tfar"])
-        lift = np.maximum(np.float32(OFFSET) - short * np.abs(cosines), 0)
-        length = np.where(np.isfinite(far), hits["tfar"] - short, 0)
-        places[start:stop] = origins + length[:, None] * along + lift[:, None] * normals
-        distances[start:stop], facing[start:stop] = far, normals
+        places[start:stop], facing[start:stop], _ = before_hits(origins, along, hits)
+        distances[start:stop] = far
 
     solution.pool.run(work, count, CHUNK_RAYS)
     return rows, places, facing, distances

@@ -7,11 +7,9 @@ row-by-row order amounts to. The result is that of updating patches in order of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from .system import Solution, State, System, iterate
+from .system import Callback, Solution, System, iterate
 
 #: Rows per block: their triangular inverses cost n x BLOCK numbers per channel, and products of this height already run
 #: at full speed.
@@ -23,7 +21,7 @@ def solve_gauss_seidel(
     tolerance: float = 1e-6,
     max_iterations: int = 1000,
     start: np.ndarray | None = None,
-    callback: Callable[[State], None] | None = None,
+    callback: Callback | None = None,
 ) -> Solution:
     """Solve by Gauss-Seidel sweeps in order of index; see `radiosity.core.solve_radiosity` for the parameters.
 

@@ -6,11 +6,9 @@ emission. One matrix product a sweep, in all channels together; sweeps grow as 1
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from .system import Solution, State, System, iterate
+from .system import Callback, Solution, System, iterate
 
 
 def solve_jacobi(
@@ -18,7 +16,7 @@ def solve_jacobi(
     tolerance: float = 1e-6,
     max_iterations: int = 1000,
     start: np.ndarray | None = None,
-    callback: Callable[[State], None] | None = None,
+    callback: Callback | None = None,
 ) -> Solution:
     """Solve by Jacobi sweeps; see `radiosity.core.solve_radiosity` for the parameters.
 

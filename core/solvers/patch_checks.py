@@ -16,9 +16,14 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 class PatchChecks:
     """Shares of the power that lights, emissive patches and sky send into the scene, and the errors found.
 
-    `energy_balance_error` is the part of it that is neither absorbed nor gone: it measures how far the sampled form
-    factors are from reciprocal, weighted by the light they carry. `closure_error_max` and `reciprocity_error_max` are
-    those of the form factors between groups of patches, relative to the largest.
+    What is emitted is absorbed, or escapes, or is missing. Absorbed is what patches do not reflect of what arrives at
+    them, and what is sent to backs that are taken as black: inside solids, and of materials with one side. Of patches
+    that are partly inside a solid the open part counts.
+
+    `energy_balance_error` is the part of the emitted power that is neither absorbed nor gone, or that is so without
+    having been emitted: it measures how far the form factors are from reciprocal, weighted by the light they carry.
+    `closure_error_max` and `reciprocity_error_max` are those of the form factors between groups of fronts, relative to
+    the area of all and to the largest exchange.
     """
 
     light_absorbed: float
@@ -32,41 +37,55 @@ def check_patches(solution: PatchSolution) -> PatchChecks:
     """Balance the power of the fronts and backs worked on."""
     table = solution.hits_to_rows
     count = solution.patches.count
-    areas = np.concatenate([solution.patches.areas, solution.patches.areas])
-    sky = np.zeros(table.rows, bool)
-    sky[table.sky_start : table.sky_start + table.sky_cells] = True
+    areas = solution.open_areas
+    dark = solution.dark_rows()
     outside = table.is_outside()
-    values = solution.table()[:, :3] @ LUMINANCE
-    groups = _groups(solution)
-    total = int(groups.max()) + 1
-    exchange = np.zeros((total, total + 1))
-    arriving = absorbed = escaped = lit = 0.0
     luminous = solution.radiosity @ LUMINANCE
-    for rows, direct, seen, kept in solution.gathered_sides():
+    emitted = solution.emitted @ LUMINANCE
+    irradiance = solution.irradiance @ LUMINANCE
+    given = solution.given() @ LUMINANCE
+    beyond = np.zeros(2 * count)
+    absorbed = escaped = lit = 0.0
+    for rows, _, seen, kept in solution.gathered_sides():
         weight = kept / kept.sum(axis=1, keepdims=True)
-        area = areas[rows]
-        gone = (outside[seen.rows].mean(axis=1).reshape(weight.shape) * weight).sum(axis=1)
-        from_sky = ((values * sky)[seen.rows].mean(axis=1).reshape(weight.shape) * weight).sum(axis=1)
-        given = ((direct @ LUMINANCE) * weight).sum(axis=1)
-        emitted = solution.emitted[rows] @ LUMINANCE
-        irradiance = solution.irradiance[rows] @ LUMINANCE
-        lit += float((area * (given + from_sky + emitted)).sum())
-        absorbed += float((area * (irradiance + emitted - luminous[rows])).sum())
-        escaped += float((area * luminous[rows] * gone).sum())
-        arriving += float((area * irradiance).sum())
-        fronts = rows < count
-        _add_exchange(exchange, groups, rows[fronts], area[fronts], seen.rows.reshape(len(rows), -1)[fronts], count)
-    closure = np.abs(exchange.sum(axis=1) - np.bincount(groups, weights=solution.patches.areas, minlength=total))
-    flux = exchange[:, :total]
-    largest = max(float(flux.max(initial=0)), 1e-300)
+        gone, swallowed = (
+            (marked[seen.rows].mean(axis=1).reshape(weight.shape) * weight).sum(axis=1) for marked in (outside, dark)
+        )
+        beyond[rows] = ((seen.rows >= 2 * count).mean(axis=1).reshape(weight.shape) * weight).sum(axis=1)
+        lit += float(areas[rows] @ (given[rows] + emitted[rows]))
+        # Dark backs keep what others send them; what their own few rays to the light have found is no better.
+        arrived = np.where(dark[rows], given[rows], irradiance[rows])
+        absorbed += float(areas[rows] @ (arrived + emitted[rows] - luminous[rows] * (1 - swallowed)))
+        escaped += float(areas[rows] @ (luminous[rows] * gone))
+    closure, reciprocity = _identities(solution, beyond)
     sent = max(lit, 1e-300)
     return PatchChecks(
         light_absorbed=absorbed / sent if lit > 0 else 0.0,
         light_escaped=escaped / sent if lit > 0 else 0.0,
         energy_balance_error=abs(lit - absorbed - escaped) / sent if lit > 0 else 0.0,
-        closure_error_max=float((closure / max(float(solution.patches.areas.sum()), 1e-300)).max(initial=0)),
-        reciprocity_error_max=float(np.abs(flux - flux.T).max(initial=0)) / largest,
+        closure_error_max=closure,
+        reciprocity_error_max=reciprocity,
     )
+
+
+def _identities(solution: PatchSolution, beyond: np.ndarray) -> tuple[float, float]:
+    """Largest errors of closure and of reciprocity, from the share (2P,) of each patch's rays that meet no patch."""
+    groups = _groups(solution)
+    count, total = len(groups), int(groups.max()) + 1
+    # One more for backs and whatever lies beyond.
+    groups = np.concatenate([groups, np.full(count, total)])
+    areas = solution.open_areas
+    exchange = np.zeros((total + 1) ** 2)
+    for part in solution.factors.slices:
+        key = groups[part.rows][:, None] * (total + 1) + groups[part.columns]
+        power = areas[part.rows][:, None] * part.weights
+        exchange += np.bincount(key.ravel(), weights=power.ravel(), minlength=len(exchange))
+    exchange = exchange.reshape(total + 1, total + 1)[:total]
+    exchange[:, total] += np.bincount(groups, weights=areas * beyond, minlength=total + 1)[:total]
+    surface = np.bincount(groups, weights=areas, minlength=total + 1)[:total]
+    flux = exchange[:, :total]
+    closure = np.abs(exchange.sum(axis=1) - surface).max() / max(float(surface.sum()), 1e-300)
+    return float(closure), float(np.abs(flux - flux.T).max() / max(float(flux.max()), 1e-300))
 
 
 def _groups(solution: PatchSolution) -> np.ndarray:
@@ -77,13 +96,3 @@ def _groups(solution: PatchSolution) -> np.ndarray:
     octant = (solution.patches.points[:, 0] > 0) @ np.array([1, 2, 4])
     _, groups = np.unique(side * 8 + octant, return_inverse=True)
     return groups.reshape(-1)
-
-
-def _add_exchange(exchange, groups, patches, areas, seen, count) -> None:
-    total = len(exchange)
-    target = np.full(seen.shape, total)
-    front = seen < count
-    target[front] = groups[seen[front]]
-    weight = np.repeat(areas / seen.shape[1], seen.shape[1])
-    key = (groups[patches][:, None] * (total + 1) + target).ravel()
-    exchange += np.bincount(key, weights=weight, minlength=total * (total + 1)).reshape(total, total + 1)

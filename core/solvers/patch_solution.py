@@ -19,10 +19,13 @@ import numpy as np
 from ..discretization.patches import POINTS, Patches
 from ..form_factors.bright_directions import MOST, BrightDirections, sharpen
 from ..form_factors.cached_hemispheres import Gathered, HitTable, gather
+from ..form_factors.point_rows import PointExchange
 from ..lights import Light
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
 from ..visibility.embree import CHUNK_RAYS, RayPool, Tracer
+from .reciprocity import SeenRows, two_way_factors
+from .sparse_rows import SparseRows
 
 #: A point is buried when more than this part of its rays meets dark backs. Inside a solid all of them do; under a
 #: sheet, a table's top say, many may, and that shade is real.
@@ -70,7 +73,8 @@ class PatchSolution:
     `radiosity` (2P, 3) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
     `irradiance` (2P, 3) is what arrives. The solver stops when a bounce changes the radiosity by less than `tolerance`,
     RMS by area, relative to the RMS of the radiosity. `detail` is the part of a point's light that a single ray to the
-    sky may carry before its neighborhood is looked at closely.
+    sky may carry before its neighborhood is looked at closely. `exchange` is what brings the light of patches to
+    receivers where that is not left to rays.
     """
 
     tracer: Tracer
@@ -92,6 +96,8 @@ class PatchSolution:
     _met: np.ndarray = field(init=False)
     _small: np.ndarray = field(init=False)
     enclosed: np.ndarray = field(init=False)
+    factors: SparseRows = field(init=False)
+    exchange: PointExchange | None = field(init=False, default=None)
     sweeps: int = 0
     residual: float = 0.0
     rays_traced: int = 0
@@ -117,6 +123,10 @@ class PatchSolution:
         """(rows, 4) float32, for `Gathered.irradiance`."""
         return self.hits_to_rows.table(self.radiosity)
 
+    def looked_up(self) -> np.ndarray:
+        """(rows, 4) float32: the part of the table that rays bring to receivers; `exchange` brings the rest."""
+        return self.table()
+
     def dark_rows(self) -> np.ndarray:
         """(rows,) bool: backs inside solids, and backs that reflect nothing."""
         dark = np.zeros(self.hits_to_rows.rows, bool)
@@ -136,6 +146,8 @@ class PatchSolution:
                 yield 0.7 + 0.1 * done
         self._find_enclosed(self._sides)
         self._find_buried(self._sides)
+        batches = [SeenRows(side.rows, side.seen.rows, side.kept) for side in self._sides]
+        self.factors = two_way_factors(batches, np.tile(self.patches.areas, 2), ~self.enclosed)
         yield from shared_progress(self._iterate(self.tolerance), 0.8, 1.0)
 
     def follow(self) -> Generator[float, None, None]:
@@ -274,11 +286,12 @@ class PatchSolution:
             kept[gone] = True
             side.kept = kept
 
-    def _gathered(self, table: np.ndarray) -> np.ndarray:
-        """(2P, 3) irradiance from the table and the lights, means over the points that are not buried."""
+    def given(self) -> np.ndarray:
+        """(2P, 3) irradiance by lamps and sky, which no bounce changes."""
         out = np.zeros_like(self.irradiance)
+        sky = self.hits_to_rows.table(out)
         for side in self._sides:
-            out[side.rows] = _arriving(side, table)
+            out[side.rows] = _arriving(side, sky)
         return out
 
     def _iterate(self, tolerance: float) -> Generator[float, None, None]:
@@ -286,11 +299,12 @@ class PatchSolution:
         rho = self.reflectances
         emitted = self.emitted
         radiosity = self.radiosity
+        given = self.given()
         steps: list[np.ndarray] = []
         changes: list[np.ndarray] = []
         for sweep in range(MAX_SWEEPS):
             yield sweep / MAX_SWEEPS
-            self.irradiance = self._gathered(self.hits_to_rows.table(radiosity))
+            self.irradiance = given + self.factors.times(radiosity)
             image = emitted + rho * self.irradiance
             change = image - radiosity
             self.sweeps += 1
@@ -308,6 +322,14 @@ class PatchSolution:
         areas = self.patches.areas
         squares = (values.astype(np.float64) ** 2).sum(axis=1)
         return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
+
+    @property
+    def open_areas(self) -> np.ndarray:
+        """(2P,) area of fronts and backs worked on, but for what lies inside a solid."""
+        areas = np.zeros(2 * self.patches.count)
+        for side in self._sides:
+            areas[side.rows] = self.patches.areas[side.rows % self.patches.count] * side.kept.mean(axis=1)
+        return areas
 
     @property
     def reflectances(self) -> np.ndarray:

@@ -50,26 +50,35 @@ def shaft_candidates(tree: BspTree, first: np.ndarray, second: np.ndarray, candi
 
 def _between(tree, first, second, candidates):
     """(p, b) bool: whether each candidate may stand between the pair of loops."""
-    loops, nodes = tree.pieces.loops[candidates], tree.nodes[candidates]
     both = np.concatenate((first, second), axis=1)
-    low, high = both.min(axis=1)[:, None], both.max(axis=1)[:, None]
-    result = (candidates >= 0) & (loops.max(axis=2) >= low - TOLERANCE).all(axis=2)
-    result &= (loops.min(axis=2) <= high + TOLERANCE).all(axis=2)
-    # A blocker has something of the pair on either side of its plane.
-    heights = np.einsum("pki,pbi->pbk", both, tree.normals[nodes], optimize=True) - tree.offsets[nodes][:, :, None]
-    result &= (heights > TOLERANCE).any(axis=2) & (heights < -TOLERANCE).any(axis=2)
+    result = candidates >= 0
+    # One coordinate after the other, as reductions over an axis of three are slow.
+    for axis in range(3):
+        ends = both[:, :, axis]
+        lowest, highest = tree.pieces.loops[:, :, axis].min(axis=1), tree.pieces.loops[:, :, axis].max(axis=1)
+        result &= highest[candidates] >= ends.min(axis=1)[:, None] - TOLERANCE
+        result &= lowest[candidates] <= ends.max(axis=1)[:, None] + TOLERANCE
     lines, columns = np.nonzero(result)
+    # A blocker has something of the pair on either side of its plane.
+    nodes = tree.nodes[candidates[lines, columns]]
+    heights = np.einsum("nki,ni->kn", both[lines], tree.normals[nodes]) - tree.offsets[nodes]
+    parted = (heights.max(axis=0) > TOLERANCE) & (heights.min(axis=0) < -TOLERANCE)
+    result[lines[~parted], columns[~parted]] = False
+    lines, columns = lines[parted], columns[parted]
     if not len(lines):
         return result
-    normals, offsets = _hull_planes(first, second)
-    beyond = np.matmul(normals[lines], loops[lines, columns].transpose(0, 2, 1)) - offsets[lines][:, :, None]
+    normals, offsets = hull_planes(first, second)
+    nearest = None
+    for corner in tree.pieces.loops[candidates[lines, columns]].transpose(1, 0, 2):
+        beyond = np.matmul(normals[lines], corner[:, :, None])[:, :, 0]
+        nearest = beyond if nearest is None else np.minimum(nearest, beyond)
     # Planes that do not bound the hull have no normal, and nothing lies beyond them.
-    outside = (beyond >= -TOLERANCE).all(axis=2) & normals.any(axis=2)[lines]
+    outside = (nearest - offsets[lines] >= -TOLERANCE) & normals.any(axis=2)[lines]
     result[lines, columns] = ~outside.any(axis=1)
     return result
 
 
-def _hull_planes(first, second):
+def hull_planes(first, second):
     """Normals (p, e, 3) that point out of the hull of two loops, and offsets; 0 for planes that do not bound it."""
     both = np.concatenate((first, second), axis=1)
     normals, anchors = [], []

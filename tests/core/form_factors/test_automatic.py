@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from radiosity import core
 from radiosity.core.form_factors import automatic
+from radiosity.core.form_factors.hemisphere import hemisphere_rows
 
 from tests.reference_cases import form_factor_cases, ids, in_order, polygons_of, surface_matrix
 
@@ -95,10 +96,17 @@ def test_rays_take_over_where_clipping_costs_more(monkeypatch):
     environment = core.Environment.from_polygons(polygons)
     monkeypatch.setattr(automatic, "CLIPPED_SECONDS", 10.0)
     rows, counts = automatic.automatic_rows(environment, 4e-3)
-    assert rows.rays > 0 and counts["hemisphere"] == len(environment) and "point_to_polygon" not in counts
-    exact, _ = automatic.automatic_rows(environment, 1e-6, seed=1)
+    # Six of the twelve patches see past the cube; what the others see, nothing can block, and they cast no ray.
+    assert rows.rays > 0 and counts["hemisphere"] == 6 and "point_to_polygon" not in counts
+    everywhere = hemisphere_rows(environment, 4e-3)
+    assert rows.rays < 0.7 * everywhere.rays
+    monkeypatch.undo()
+    exact, _ = automatic.automatic_rows(environment, 1e-5, seed=1)
+    assert exact.rays == 0
+    idle = ~automatic._blockable_patches(environment).any(axis=1)
+    assert np.abs(rows.matrix - exact.matrix)[idle].max(initial=0) <= 1e-4
     # Pairs that nothing can part stay exact; the others are within four standard errors.
-    error = np.abs(core.form_factors(environment, accuracy=4e-3).matrix - exact.matrix)
+    error = np.abs(rows.matrix - exact.matrix)
     assert error.max() <= 4 * 4e-3 and rows.errors.max() <= 4e-3
 
 

@@ -4,11 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from radiosity import core
 from radiosity.core.errors import SceneTooLargeError, SettingsError
-from radiosity.core.form_factors import identities, matrix
+from radiosity.core.form_factors import matrix
 
 from tests.reference_cases import allowed, form_factor_cases, ids, in_order, polygons_of, surface_matrix
 
@@ -280,54 +278,3 @@ def test_a_matrix_that_would_not_fit_is_refused_with_numbers(monkeypatch):
     monkeypatch.setattr(matrix, "LARGEST_MATRIX", 3)
     with pytest.raises(SceneTooLargeError, match=r"2 patches need a matrix of .* GiB"):
         core.form_factors(core.Environment.from_polygons([SQUARE, ABOVE]))
-
-
-# Repair
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**31), st.integers(3, 30))
-def test_repair_meets_both_identities_with_a_small_change(seed, count):
-    generator = np.random.default_rng(seed)
-    areas = 10 ** generator.uniform(-2, 0, count)
-    exchange = generator.random((count, count)) * (generator.random((count, count)) < 0.7)
-    exchange = np.outer(areas, areas) * (exchange + exchange.T + 0.01)
-    np.fill_diagonal(exchange, 0)
-    # Closing the invented exchange makes a true matrix, when the zeros leave that possible.
-    truth = identities.close_rows(exchange, areas) / areas[:, None]
-    if np.abs(truth.sum(axis=1) - 1).max() > 1e-9:
-        return
-    noisy = truth * (1 + 0.02 * generator.uniform(-1, 1, truth.shape))
-    mended = identities.repair(noisy, areas, closed=True)
-    assert np.array_equal(mended == 0, noisy == 0)
-    assert 0 <= mended.min() and mended.max() <= 1 + 1e-12
-    assert identities.reciprocity_error(mended, areas) < 1e-12
-    assert identities.closure_error(mended) < 1e-9
-    # The correction is of the noise's size, and brings the whole closer to the truth than the noise left it.
-    assert np.abs(mended - truth).max() < 0.2 * truth.max()
-
-
-def test_repair_of_true_factors_changes_nothing():
-    case = CASES["enc-box-7-3-2"]
-    truth = np.array(case["matrix"]["F"])
-    polygons, _ = polygons_of(case)
-    areas = in_order(case, core.Environment.from_polygons(polygons).areas, case["matrix"]["order"])
-    np.testing.assert_allclose(identities.repair(truth, areas, closed=True), truth, atol=1e-14)
-
-
-def test_joining_trusts_the_patch_with_more_rays_per_area():
-    areas = np.array([1.0, 100.0])
-    noisy = np.array([[0.0, 0.5], [0.1, 0.0]])
-    # The small patch says that 0.5 passes, the large one 10: with equal rays the former knows 100 times better.
-    exchange = identities.join_estimates(noisy, areas)
-    assert exchange[0, 1] == exchange[1, 0] == pytest.approx((0.5 * 100 + 10) / 101)
-    assert identities.join_estimates(noisy, areas, np.array([1, 1000]))[0, 1] == pytest.approx((50 + 10_000) / 1100)
-
-
-def test_open_rows_are_kept_from_exceeding_one():
-    areas = np.ones(3)
-    noisy = np.array([[0, 0.7, 0.4], [0.7, 0, 0.2], [0.4, 0.2, 0]])
-    mended = identities.repair(noisy, areas, closed=False)
-    assert mended.sum(axis=1).max() <= 1 + 1e-12
-    np.testing.assert_allclose(mended, mended.T, atol=1e-15)
-    assert np.array_equal(identities.repair(noisy / 2, areas, closed=False), noisy / 2)

@@ -13,6 +13,7 @@ from radiosity.core.lights import PointLight
 from radiosity.core.progress import finish
 from radiosity.core.settings import BakeSettings
 from radiosity.core.solvers.patch_checks import check_patches
+from radiosity.core.solvers.reciprocity import SeenRows
 from radiosity.core.visibility.embree import Frame, RayPool
 
 from tests.bakes import Thing, scene_of
@@ -32,20 +33,59 @@ def solved(scene, accuracy=0.1, seed=0):
     return solution, model
 
 
+def dense_of(matrix):
+    """(m, m) float64 of a sparse matrix."""
+    out = np.zeros((matrix.size, matrix.size))
+    for part in matrix.slices:
+        np.add.at(out, (part.rows[:, None], part.columns), part.weights.astype(float))
+    return out
+
+
+def dense_factors(batches, areas, is_open):
+    """Form factors (m, m) of rays that count both ways, by dense matrices: the balance heuristic, the damped scaling,
+    and rows that sum to what their own rays have met."""
+    size = len(areas)
+    counts, rays, surface = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    for batch in batches:
+        kept, every = batch.kept, batch.seen.shape[1]
+        patch = np.repeat(batch.rows, kept.shape[1])[kept.ravel()]
+        origin, target = np.repeat(patch, every), batch.seen[kept.ravel()].ravel()
+        met = target < size
+        np.add.at(counts, (origin[met], target[met]), 1.0)
+        np.add.at(rays, patch, every)
+        surface[batch.rows] = areas[batch.rows] * kept.mean(axis=1)
+    is_open = is_open & (rays > 0)
+    mutual = is_open[:, None] & is_open[None]
+    density = np.where(is_open, rays / np.where(surface > 0, surface, 1), 1)
+    exchange = np.where(mutual, (counts + counts.T) / (density[:, None] + density[None]), 0)
+    wanted = (counts * mutual).sum(axis=1) / density
+    scale = np.ones(size)
+    for _ in range(3):
+        found = scale * (exchange @ scale)
+        step = np.sqrt(wanted / np.where(found > 0, found, 1))
+        scale = np.where((found > 0) & (wanted > 0), np.clip(scale * step, 0.25, 4), scale)
+    found = exchange @ scale
+    stretch = wanted / np.where(found > 0, found, 1) / np.where(surface > 0, surface, 1)
+    own = counts / np.where(rays > 0, rays, 1)[:, None]
+    return np.where(mutual, stretch[:, None] * exchange * scale, own)
+
+
 def fixed_point(solution, sweeps=2000):
-    """Radiosity (2P, 3) by plain sweeps over the same rays in float64, with the same points left out."""
+    """Radiosity (2P, 3) by plain sweeps of the same rays in float64, with the same points left out and both ways."""
     radiosity = solution.emitted.astype(float)
     rho = solution.reflectances.astype(float)
     sides = list(solution.gathered_sides())
+    areas = np.tile(solution.patches.areas, 2)
+    batches = [SeenRows(rows, seen.rows, kept) for rows, _, seen, kept in sides]
+    factors = dense_factors(batches, areas, ~solution.enclosed)
+    sky = solution.table()[:, :3].astype(float)
+    sky[: len(radiosity)] = 0
+    given = np.zeros_like(radiosity)
+    for rows, direct, seen, kept in sides:
+        gathered = sky[seen.rows].mean(axis=1).reshape(*kept.shape, 3) + direct
+        given[rows] = np.einsum("npk,np->nk", gathered, kept / kept.sum(axis=1, keepdims=True))
     for _ in range(sweeps):
-        table = np.zeros((solution.hits_to_rows.rows, 3))
-        table[:] = solution.table()[:, :3]
-        table[: len(radiosity)] = radiosity
-        image = solution.emitted.astype(float)
-        for rows, direct, seen, kept in sides:
-            gathered = table[seen.rows].mean(axis=1).reshape(*kept.shape, 3) + direct
-            weight = kept / kept.sum(axis=1, keepdims=True)
-            image[rows] += rho[rows] * np.einsum("npk,np->nk", gathered, weight)
+        image = solution.emitted + rho * (given + factors @ radiosity)
         if np.abs(image - radiosity).max() < 1e-10 * np.abs(image).max():
             return image
         radiosity = image
@@ -99,7 +139,8 @@ def test_closed_room_keeps_the_balance_and_open_one_lets_go():
     closed = check_patches(solved(cornell_box())[0])
     assert closed.light_escaped == 0
     assert closed.light_absorbed == pytest.approx(1, abs=0.02)
-    assert closed.closure_error_max < 1e-12
+    # Factors are float32, and their roundings mostly cancel in a group.
+    assert closed.closure_error_max < 1e-7
     assert closed.reciprocity_error_max < 0.1
     vertices, faces, sides = box(divisions=4)
     lamp = PointLight(np.full(3, 0.5), np.ones(3))

@@ -6,24 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from radiosity import core
 from radiosity.core.errors import SettingsError, SolverError
-from radiosity.core.form_factors.identities import close_rows
 from radiosity.core.solvers import SOLVERS, gauss_seidel
 
+from tests.core.solvers.systems import random_system
 from tests.reference_cases import ids, solution_cases
 
 CASES = solution_cases()
 METHODS = list(SOLVERS)
 ITERATIVE = [name for name in METHODS if name != "direct"]
-
-
-def random_system(seed, count=40, channels=3, closed=True):
-    """Reciprocal factors of an invented scene, with reflectance and emission."""
-    generator = np.random.default_rng(seed)
-    areas = generator.uniform(0.2, 1, count)
-    exchange = np.outer(areas, areas) * generator.random((count, count))
-    exchange = close_rows(exchange + exchange.T, areas) / areas[:, None]
-    matrix = exchange if closed else 0.7 * exchange
-    return matrix, generator.uniform(0, 0.9, (count, channels)), generator.random((count, channels)) ** 8, areas
+GATHERING = [name for name in ITERATIVE if name != "progressive_refinement"]
 
 
 @pytest.mark.parametrize("method", [*METHODS, "auto"])
@@ -32,14 +23,14 @@ def test_published_matrix_solutions(name, method):
     case = CASES[name]
     level = "exact" if method in ("direct", "auto") else "iterative"
     solution = core.solve_radiosity(
-        case["F"], case["reflectance"], case["emission"], case["areas"], method, tolerance=1e-9, max_iterations=5000
+        case["F"], case["reflectance"], case["emission"], case["areas"], method, tolerance=1e-9, max_iterations=20_000
     )
     np.testing.assert_allclose(solution.radiosity, case["expected"]["B"], rtol=case["tolerance"][level]["rel"])
     assert solution.converged
 
 
 @pytest.mark.parametrize("name", ids(CASES, "trace"))
-@pytest.mark.parametrize("method", ITERATIVE)
+@pytest.mark.parametrize("method", ["jacobi", "gauss_seidel"])
 @pytest.mark.parametrize("block", [64, 2], ids=["one block", "blocks of two"])
 def test_published_traces_step_by_step(name, method, block, monkeypatch):
     monkeypatch.setattr(gauss_seidel, "BLOCK", block)
@@ -59,11 +50,15 @@ def test_published_traces_step_by_step(name, method, block, monkeypatch):
 @pytest.mark.parametrize("count", [1, 5, 64, 150])
 def test_solution_satisfies_its_equations(method, count):
     matrix, reflectance, emission, areas = random_system(1, count)
-    solution = core.solve_radiosity(matrix, reflectance, emission, areas, method, tolerance=1e-12, max_iterations=3000)
+    solution = core.solve_radiosity(matrix, reflectance, emission, areas, method, tolerance=1e-12)
     wanted = emission + reflectance * (matrix @ solution.radiosity)
     np.testing.assert_allclose(solution.radiosity, wanted, atol=1e-11)
     left = areas @ np.abs(wanted - solution.radiosity) / (areas @ emission)
-    assert solution.residual == pytest.approx(left.max(), abs=1e-14)
+    if method == "progressive_refinement":
+        # Its radiosity includes what is unshot already: what the equations miss is a reflection less.
+        assert left.max() <= solution.residual + 1e-14
+    else:
+        assert solution.residual == pytest.approx(left.max(), abs=1e-14)
     direct = core.solve_radiosity(matrix, reflectance, emission, areas).radiosity
     np.testing.assert_allclose(solution.radiosity, direct, rtol=1e-9)
 
@@ -78,7 +73,7 @@ def test_gauss_seidel_needs_fewer_sweeps_than_jacobi():
     assert sweeps["gauss_seidel"] < 0.65 * sweeps["jacobi"]
 
 
-@pytest.mark.parametrize("method", ITERATIVE)
+@pytest.mark.parametrize("method", GATHERING)
 def test_residuals_are_those_of_the_iterates(method):
     matrix, reflectance, emission, areas = random_system(3)
     iterates = [emission]
@@ -181,7 +176,7 @@ def test_light_that_nothing_absorbs_has_no_solution():
         core.solve_radiosity(matrix, 1.0, [1.0, 0.0])
     for method in ITERATIVE:
         solution = core.solve_radiosity(matrix, 1.0, [1.0, 0.0], method=method, max_iterations=50)
-        assert not solution.converged and solution.iterations == 50
+        assert not solution.converged and solution.iterations == 50 and solution.ended_by == "max_iterations"
     assert not core.solve_radiosity(matrix, 1.0, [0.0, 0.0]).radiosity.any()
 
 
@@ -190,7 +185,31 @@ def test_start_from_the_solution_ends_at_once(method):
     matrix, reflectance, emission, _ = random_system(9)
     solution = core.solve_radiosity(matrix, reflectance, emission)
     again = core.solve_radiosity(matrix, reflectance, emission, method=method, start=solution.radiosity)
-    assert again.iterations == 0 and np.array_equal(again.radiosity, solution.radiosity)
+    assert again.iterations == 0 and again.ended_by == "tolerance"
+    if method == "progressive_refinement":
+        # It holds what the start misses to a solution, which is rounding here.
+        np.testing.assert_allclose(again.radiosity, solution.radiosity, rtol=1e-14)
+    else:
+        assert np.array_equal(again.radiosity, solution.radiosity)
+
+
+@pytest.mark.parametrize("method", ITERATIVE)
+def test_callback_stops_a_solver(method):
+    matrix, reflectance, emission, areas = random_system(10)
+    solution = core.solve_radiosity(
+        matrix, reflectance, emission, areas, method, tolerance=0, callback=lambda state: state.iteration == 3
+    )
+    assert solution.iterations == 3 and solution.ended_by == "callback" and not solution.converged
+
+
+@pytest.mark.parametrize("method", ITERATIVE)
+def test_start_from_another_light_reaches_the_solution(method):
+    matrix, reflectance, emission, areas = random_system(11)
+    before = core.solve_radiosity(matrix, reflectance, 3 * emission[::-1], areas).radiosity
+    solution = core.solve_radiosity(matrix, reflectance, emission, areas, method, tolerance=1e-11, start=before)
+    np.testing.assert_allclose(
+        solution.radiosity, core.solve_radiosity(matrix, reflectance, emission, areas).radiosity, rtol=1e-8
+    )
 
 
 @pytest.mark.parametrize(
@@ -216,6 +235,12 @@ def test_malformed_systems_are_refused(arguments, reason):
         ({"tolerance": -1}, "Tolerance"),
         ({"tolerance": np.nan}, "Tolerance"),
         ({"max_iterations": -1}, "Maximum iterations"),
+        ({"batch": 2}, "Unknown option 'batch' of solver direct, it has none"),
+        ({"method": "gmres", "batch": 2}, "Unknown option 'batch' of solver gmres: choose restart"),
+        ({"method": "gmres", "restart": 0}, "remembered by gmres must be 1 or more"),
+        ({"method": "progressive_refinement", "batch": 0}, "shoot at once must be 1 or more"),
+        ({"method": "progressive_refinement", "absorbed": 1.5}, "absorbed must lie above 0"),
+        ({"method": "progressive_refinement", "time_limit": -1}, "Time limit"),
         ({"emission": [np.nan, 0.0]}, "Emission of patch 0"),
         ({"reflectance": [0.5, np.nan]}, "Reflectance of patch 1 is not a number"),
     ],

@@ -115,13 +115,19 @@ class Hemicube:
             faces.append(face.reshape(-1, 3))
         return np.concatenate(faces)
 
-    def items(self, points: np.ndarray, frames: np.ndarray, loops: Loops) -> np.ndarray:
-        """(p, c) int32: polygon seen through each pixel from points (p, 3) with frames (p, 3, 3), -1 for none."""
+    def items(
+        self, points: np.ndarray, frames: np.ndarray, loops: Loops, drawn: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(p, c) int32: polygon seen through each pixel from points (p, 3) with frames (p, 3, 3), -1 for none.
+
+        `drawn` (p, n) bool tells which polygons each point draws, if not all.
+        """
         count = len(points)
-        top, _ = item_buffer(points, frames, loops, self.columns, self.columns)
+        top, _ = item_buffer(points, frames, loops, self.columns, self.columns, drawn)
         sides = np.stack([frames[:, [along, 2, axis]] for axis, _, along in SIDES], axis=1)
         sides[:, :, 2] *= np.array([sign for _, sign, _ in SIDES])[:, None]
-        seen, _ = item_buffer(np.repeat(points, 4, axis=0), sides.reshape(-1, 3, 3), loops, self.columns, self.heights)
+        points, drawn = np.repeat(points, 4, axis=0), None if drawn is None else np.repeat(drawn, 4, axis=0)
+        seen, _ = item_buffer(points, sides.reshape(-1, 3, 3), loops, self.columns, self.heights, drawn)
         return np.concatenate((top.reshape(count, -1), seen.reshape(count, -1)), axis=1)
 
 

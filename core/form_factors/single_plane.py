@@ -136,9 +136,14 @@ class SinglePlane:
             lost=float(1 - total),
         )
 
-    def items(self, points: np.ndarray, frames: np.ndarray, loops: Loops) -> np.ndarray:
-        """(p, c) int32: polygon seen through each proxel from points (p, 3) with frames (p, 3, 3), -1 for none."""
-        return item_buffer(points, frames, loops, self.columns, self.rows)[0].reshape(len(points), -1)
+    def items(
+        self, points: np.ndarray, frames: np.ndarray, loops: Loops, drawn: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(p, c) int32: polygon seen through each proxel from points (p, 3) with frames (p, 3, 3), -1 for none.
+
+        `drawn` (p, n) bool tells which polygons each point draws, if not all.
+        """
+        return item_buffer(points, frames, loops, self.columns, self.rows, drawn)[0].reshape(len(points), -1)
 
 
 def single_plane_rows(

@@ -40,6 +40,13 @@ def test_furnace(reflectance):
     assert light.rays > 64 * answers.shape[1]
 
 
+def test_scatter_stays_bounded_among_bright_walls():
+    answers, _ = irradiance(furnace_box(2, 0.98, 0.02), paths=256)
+    # A path meets 1 / (1 - rho) surfaces on the mean, as many give or take: 128 of each answer err by a tenth.
+    assert np.abs(answers - 1).max() < 0.5
+    assert answers.std() < 2 / np.sqrt(128)
+
+
 def test_integrating_sphere():
     intensity, rho = np.array([1.0, 2.0, 3.0]), 0.6
     lamp = PointLight(np.zeros(3), intensity)

@@ -66,13 +66,36 @@ def test_the_rest_vanishes_where_better_factors_leave_nothing_and_stays_nothing(
 
 
 @pytest.mark.parametrize("accuracy", [1e-2, 3e-3])
-def test_rows_that_agree_by_luck_are_found_out_by_their_sum(accuracy):
+def test_rows_sum_to_one_where_factors_are_computed_anew(accuracy):
     environment = blocks_in_a_room(6)
     rows = np.arange(len(environment))
     factors, escaped, errors, _ = ProjectedRows(environment, hemicubes(16)).refined(rows, accuracy, 0)
     assert errors.max() <= accuracy
     # The pixels' shares sum to 1 to some rounding: nothing of it may get lost where factors are computed anew.
     np.testing.assert_allclose(factors.sum(axis=1) + escaped, 1, rtol=0, atol=1e-12)
+
+
+class LuckyRepetitions(ProjectedRows):
+    """Repetitions that at first agree on what is wrong of two patches of three."""
+
+    FIRST = np.array([[0, 0.2, 0.5, 0.3]])
+    TRUE = np.array([[0, 0.6, 0.2, 0.2]])
+
+    def _sample(self, rows, level, seed, wanted=None):
+        many = np.array([10**9])
+        if wanted is None:
+            return self.FIRST.copy(), np.zeros(1), np.array([[0, 0.1, 0, 0]]), many
+        return self.TRUE * wanted, np.zeros(1), np.zeros((1, 4)), many
+
+
+def test_factors_that_agree_by_luck_are_found_out_by_the_sum():
+    receiver = cornell_box(4).receivers[0]
+    quads = receiver.corner_vertices.reshape(-1, 4)[:4]
+    environment = core.Environment.from_polygons([receiver.positions[q] for q in quads])
+    factors, escaped, errors, _ = LuckyRepetitions(environment, hemicubes(8)).refined(np.arange(1), ACCURACY, 0)
+    np.testing.assert_array_equal(factors, LuckyRepetitions.TRUE)
+    assert escaped[0] == 0
+    assert errors[0] <= ACCURACY
 
 
 def test_memory_grows_by_the_result_alone(monkeypatch):

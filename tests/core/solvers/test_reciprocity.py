@@ -86,7 +86,6 @@ def test_exchange_is_symmetric_but_for_what_the_damping_leaves(make):
 
 
 def test_factors_of_the_scaling_keep_within_their_bounds():
-    batches, areas, is_open = drawn(0)
     exchange = SparseRows(2, slices_of(np.array([0, 1]), np.array([1, 0]), np.array([1.0, 1.0])))
     scale, stretch = reciprocity._scaling(exchange, np.array([1e6, 1e-6]), np.ones(2, bool))
     assert (scale <= MOST).all() and (scale >= 1 / MOST).all()

@@ -27,6 +27,7 @@ from radiosity.core import bake as pipeline
 from radiosity.core.bake_plan import plan_for
 from radiosity.core.cleaning import clean
 from radiosity.core.form_factors.sampling import frames, hemisphere_directions, kronecker_points
+from radiosity.core.gathering.placing import place_receivers
 from radiosity.core.gathering.receivers import Receivers
 from radiosity.core.lights.direct_light import direct_light
 from radiosity.core.progress import finish
@@ -78,9 +79,9 @@ class _Paths:
         frame = Frame.around(np.asarray(cleaned.surfaces.vertices, dtype=np.float64))
         surfaces = replace(cleaned.surfaces, vertices=pipeline._moved(cleaned.surfaces.vertices, frame))
         meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
-        self.model = pipeline._build_model(surfaces, frame, cleaned.rows, scene, plan, pool)
-        self.receivers = pipeline._place_receivers(meshes, self.model, pool)
         settings = BakeSettings(accuracy=0.01, seed=77)
+        self.model = pipeline._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
+        self.receivers = place_receivers(meshes, self.model.tracer, pool)
         self.solution = pipeline._patch_solution(self.model, scene, plan, settings, pool)
         finish(self.solution.solve())
         self.table = self.solution.table()[:, :3]

@@ -105,14 +105,17 @@ def box(low, high, inward: bool = False, divisions: int = 1, without: tuple[int,
 
 
 def furnished_room() -> Scene:
-    """A closed room of four patches a side with a cupboard, a bed, a table board and a stool, all boxes."""
+    """A closed room of four patches a side with furniture."""
+    return computed("furnished_room", box((0, 0, 0), (5, 4, 2.6), inward=True, divisions=2) + furniture())
+
+
+def furniture() -> list[np.ndarray]:
+    """A cupboard, a bed, a table board and a stool, all boxes, in a room of 5 x 4 x 2.6."""
     standing = (4,)
-    polygons = box((0, 0, 0), (5, 4, 2.6), inward=True, divisions=2)
-    polygons += box((0.3, 2.9, 0), (1.9, 3.6, 2.1), without=standing)
+    polygons = box((0.3, 2.9, 0), (1.9, 3.6, 2.1), without=standing)
     polygons += box((2.7, 0.4, 0), (4.7, 1.4, 0.5), without=standing)
     polygons += box((1.2, 1.1, 0.7), (2.4, 1.9, 0.75))
-    polygons += box((1.6, 2.1, 0), (2.0, 2.5, 0.45), without=standing)
-    return computed("furnished_room", polygons)
+    return polygons + box((1.6, 2.1, 0), (2.0, 2.5, 0.45), without=standing)
 
 
 def read_obj(path: Path) -> list[np.ndarray]:

@@ -19,20 +19,24 @@ from .baked_mesh import BakedMesh
 from .cleaning import clean, compacted
 from .discretization.merging import merge_coplanar
 from .discretization.patch_colors import patch_colors
+from .discretization.patch_polygons import PatchPolygons
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
 from .form_factors.cached_hemispheres import HitTable, WallSides, gather
-from .gathering.burial import unbury
 from .gathering.indirect_light import indirect_light, uncut_edges
+from .gathering.misplaced import mend_misplaced
+from .gathering.placing import place_receivers
 from .gathering.probe import probe_error
-from .gathering.receivers import Receivers, build_receivers
-from .gathering.snapping import snap_to_surface
+from .gathering.walled_off import find_walled_off
 from .keys import row_keys
 from .lights.direct_light import direct_light
 from .lights.emissive import area_lights
+from .matrix_plan import FACTOR_SHARE, check_size, check_surfaces, has_name, matrix_plan
 from .progress import Progress, finish, shared_progress
-from .scene import ReceiverMesh, Scene, Surfaces
+from .scene import Scene, Surfaces
 from .settings import BakeSettings
+from .solvers.matrix_checks import check_matrix, matrix_statistics
+from .solvers.matrix_solution import MatrixSolution
 from .solvers.patch_checks import check_patches
 from .solvers.patch_solution import PatchSolution
 from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
@@ -89,6 +93,7 @@ class _Model:
     black_back: np.ndarray
     sides: WallSides | None
     lights: list
+    polygons: PatchPolygons | None
 
 
 def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None, BakeResult]:
@@ -101,12 +106,16 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     NoEmittersError
         Nothing emits light.
     SceneTooLargeError
-        More memory foreseen than allowed.
+        More memory foreseen than allowed, or too many polygons for the method chosen by name.
+    SettingsError
+        The method or solver chosen by name cannot serve the scene.
     MissingRayEngineError
         embreex cannot be imported.
     """
     clock = _Clock()
     plan = plan_for(settings.accuracy)
+    if has_name(settings):
+        plan = matrix_plan(plan, settings.accuracy)
     yield Progress(0.0, "Preparing surfaces")
     with clock.stage("prepare"):
         cleaned = clean(scene.surfaces)
@@ -123,18 +132,20 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     with RayPool(settings.threads) as pool:
         yield Progress(0.01, "Preparing surfaces to trace")
         with clock.stage("trace mesh"):
-            model = _build_model(surfaces, frame, rows, scene, plan, pool)
+            model = _build_model(surfaces, frame, rows, scene, plan, settings, pool)
         del surfaces, rows
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
-            receivers = _place_receivers(meshes, model, pool)
+            receivers = place_receivers(meshes, model.tracer, pool)
+            walled = find_walled_off(model.tracer, meshes, receivers, model.patches.spacing, pool)
             stored = [(mesh.without_geometry(), len(mesh.positions)) for mesh in meshes]
             del meshes
         if not len(receivers):
             raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
         solution = _patch_solution(model, scene, plan, settings, pool)
         with clock.stage("patches"):
-            yield from _told(solution.solve(), 0.1, 0.3, "Solving patches")
+            message = f"Form factors by {settings.method}" if has_name(settings) else "Solving patches"
+            yield from _told(solution.solve(), 0.1, 0.3, message)
         with clock.stage("direct light"):
             work = direct_light(
                 model.tracer,
@@ -159,17 +170,17 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             light = np.concatenate([direct, indirect.irradiance], axis=1)
             del direct
             indirect = replace(indirect, irradiance=None)  # it is in `light` now
-            work = unbury(
-                solution, receivers, light, indirect.buried, plan.indirect.rays, plan.penumbra_rays, settings.seed
+            work = mend_misplaced(
+                solution, receivers, walled, [mesh for mesh, _ in stored], light, indirect.buried, plan, settings.seed
             )
-            light, moved, filled_rays = yield from _told(work, 0.95, 0.97, "Buried vertices")
+            light, mended = yield from _told(work, 0.95, 0.97, "Buried vertices")
         yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
-            error, probe_rays = probe_error(solution, receivers, light, indirect, moved, plan, settings.seed)
-    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + filled_rays
+            error, probe_rays = probe_error(solution, receivers, light, indirect, mended.moved, plan, settings.seed)
+    rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + mended.rays
     statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
     meshes = [
-        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], indirect.buried)
+        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], mended.buried)
         for (mesh, vertices), corners in zip(stored, receivers.corner_receivers, strict=True)
     ]
     warnings += _receiver_warnings(meshes)
@@ -191,6 +202,7 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
             "Nothing in the scene emits light: add a lamp, give a material an emission strength above 0, or light the "
             "world (World properties, or --world-strength 1 on the command line)"
         )
+    check_surfaces(surfaces, settings)
     corners = sum(len(mesh.corner_vertices) for mesh in scene.receivers)
     needed = foreseen_memory(len(surfaces.triangles), corners, plan)
     if settings.memory_limit and needed > settings.memory_limit:
@@ -209,7 +221,13 @@ def _moved(vertices: np.ndarray, frame: Frame) -> np.ndarray:
 
 
 def _build_model(
-    surfaces: Surfaces, frame: Frame, rows: np.ndarray | None, scene: Scene, plan: BakePlan, pool: RayPool
+    surfaces: Surfaces,
+    frame: Frame,
+    rows: np.ndarray | None,
+    scene: Scene,
+    plan: BakePlan,
+    settings: BakeSettings,
+    pool: RayPool,
 ) -> _Model:
     """The model of surfaces in the unit frame; `rows` (m,) are theirs in the surfaces that the shader knows."""
     looks = _looks(surfaces)
@@ -235,6 +253,7 @@ def _build_model(
     cells, starts, segments = probe_segments(patches, corners, triangles, whole)
     crossed = _crossed(tracer, starts, segments, pool)
     patches = split_cells(patches, corners, triangles, cells[crossed], plan.patches)
+    check_size(patches, settings)
     cells, starts, segments = probe_segments(patches, corners, triangles)
     walled = np.zeros(patches.count, bool)
     walled[cells[_crossed(tracer, starts, segments, pool)]] = True
@@ -251,6 +270,7 @@ def _build_model(
         black_back=~two_sided,
         sides=WallSides.of(walled, corners[triangles], patches.areas) if walled.any() else None,
         lights=[*lamps, *shining],
+        polygons=PatchPolygons.of(patches, corners, triangles) if has_name(settings) else None,
     )
 
 
@@ -290,9 +310,11 @@ def _looks(surfaces: Surfaces) -> np.ndarray:
 def _patch_solution(
     model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool
 ) -> PatchSolution:
-    return PatchSolution(
+    # A method knows no two sides of a patch.
+    sides = model.sides if settings.method == "auto" else None
+    parts = dict(
         tracer=model.tracer,
-        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, model.sides),
+        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, sides),
         lights=model.lights,
         reflectance=model.reflectance,
         emission=model.emission,
@@ -303,6 +325,17 @@ def _patch_solution(
         seed=settings.seed,
         tolerance=plan.tolerance,
         detail=plan.patch_detail,
+    )
+    if not has_name(settings):
+        return PatchSolution(**parts)
+    return MatrixSolution(
+        **parts,
+        polygons=model.polygons,
+        crossed=np.zeros(model.patches.count, bool) if model.sides is None else model.sides.crossed,
+        method=settings.method,
+        solver=settings.solver,
+        factor_accuracy=FACTOR_SHARE * settings.accuracy,
+        light_accuracy=settings.accuracy,
     )
 
 
@@ -325,21 +358,13 @@ def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
     return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
 
 
-def _place_receivers(meshes: list[ReceiverMesh], model: _Model, pool: RayPool) -> Receivers:
-    """Receivers of meshes that are in the unit frame already."""
-    receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0))
-    if not any(mesh.is_off_surface for mesh in meshes):
-        return receivers
-    chosen = np.zeros(len(receivers), bool)
-    for mesh, corners in zip(meshes, receivers.corner_receivers, strict=True):
-        if mesh.is_off_surface:
-            chosen[corners[corners >= 0]] = True
-    return snap_to_surface(model.tracer, receivers, chosen, pool)
-
-
 def _statistics(triangles, model, receivers, solution, indirect, rays, error, clock) -> dict:
-    checks = check_patches(solution)
+    is_matrix = isinstance(solution, MatrixSolution)
+    checks = check_matrix(solution) if is_matrix else check_patches(solution)
     return {
+        "method": "auto",
+        "solver": "auto",
+        **(matrix_statistics(solution) if is_matrix else {}),
         "triangles": triangles,
         "traced_triangles": len(model.black_back),
         "patches": int((model.patches.areas > 0).sum()),

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 
+from . import solvers
 from .errors import SettingsError
+from .form_factors import matrix
 
 #: Relative RMS error of the irradiance that each quality preset asks for.
 QUALITY_ACCURACY = {"draft": 0.10, "preview": 0.03, "final": 0.01}
@@ -13,9 +15,9 @@ QUALITY_ACCURACY = {"draft": 0.10, "preview": 0.03, "final": 0.01}
 #: What a bake can store; see `BakeSettings.bake_type`.
 BAKE_TYPES = ("combined", "lighting", "direct", "indirect", "emission")
 
-#: Form-factor methods and solvers that the bake pipeline can be asked for by name.
-METHODS = ("auto",)
-SOLVERS = ("auto",)
+#: Form-factor methods and solvers that the bake can be asked for by name: all that there are.
+METHODS = ("auto", *matrix.METHODS)
+SOLVERS = ("auto", *solvers.SOLVERS)
 
 #: Accuracies that can be asked for. Below 0.2 % float32 rays and the patch solution set a floor; above 50 % nothing
 #: gets cheaper.

@@ -31,9 +31,6 @@ class VIEW3D_PT_radiosity(RadiositySidebar, bpy.types.Panel):
         column.prop(settings, "quality")
         if settings.quality == 'CUSTOM':
             column.prop(settings, "accuracy")
-        for name in ("method", "solver"):
-            if len(settings.bl_rna.properties[name].enum_items) > 1:  # a choice of one is none
-                column.prop(settings, name)
         column.prop(settings, "bake_type")
         column.prop(settings, "attribute_name")
 

@@ -4,7 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..adapters.report import messages, read_report
-from ..properties.progress import duration
+from ..properties.progress import duration, state
 from .sidebar import RadiositySubPanel
 
 
@@ -25,6 +25,9 @@ class VIEW3D_PT_radiosity_statistics(RadiositySubPanel, bpy.types.Panel):
             split = column.split(factor=0.55)
             split.label(text=label)
             split.label(text=value, translate=False)
+        row = layout.row()
+        row.enabled = not state.is_running
+        row.operator("radiosity.verify", icon='VIEWZOOM')
         warnings = messages(report)
         if warnings:
             column = layout.column(align=True)
@@ -52,12 +55,21 @@ def _rows(report):
         ("Time", report["seconds"].get("total"), _seconds),
         ("Memory", report["peak_memory_above_start"], _bytes),
         ("Estimated Error", report["estimated_error"], _percent),
+        ("Measured Error", _interval(report), str),
         ("Light Absorbed", report["light_absorbed"], _percent),
         ("Energy Error", report["energy_balance_error"], _percent),
         ("Iterations", report["iterations"], _count),
         ("Converged", report["converged"], lambda value: iface_("Yes") if value else iface_("No")),
     )
     return [(label, text(value)) for label, value, text in numbers if value is not None]
+
+
+def _interval(report):
+    """The measured error and the ends of its interval, None where nothing was measured."""
+    if report.get("measured_error") is None:
+        return None
+    error, low, high = (report[f"measured_error{end}"] for end in ("", "_low", "_high"))
+    return f"{100 * error:.2g} % ({100 * low:.2g} to {100 * high:.2g})"
 
 
 def _count(value):

@@ -40,10 +40,32 @@ DATA_TYPE_ITEMS = [
 ]
 
 
-def _name_items(names, what):
-    texts = {"auto": ("Automatic", f"Choose the {what} that suits the scene")}
+_METHOD_TEXTS = {
+    "auto": ("Automatic", "Rays to patches that are kept: the fastest and the most accurate, for scenes of any size"),
+    "hemisphere": ("Ray-Cast Hemisphere", "Rays of equal contribution (Nusselt): as fast, on fewer patches"),
+    "hemicube": ("Hemicube", "Five item buffers on each patch (Cohen and Greenberg 1985): no ray engine, seconds"),
+    "single_plane": ("Single Plane", "One item buffer above each patch (Sillion and Puech 1989): loses light at the "
+                     "horizon"),
+    "point_to_polygon": ("Point to Polygon", "Closed form from many points, rays for what is hidden: slow, smooth"),
+    "point_to_point": ("Point to Point", "From vertices, shadows by silhouettes (Nishita and Nakamae 1985): slow"),
+    "disk": ("Ray-Traced Disks", "Pieces of patches as disks seen from vertices (Wallace 1989): slow"),
+    "hybrid": ("Hybrid", "Contour integral where near or bright, visible pieces elsewhere (Baum 1989): slowest"),
+    "contour_integral": ("Contour Integral", "Exact by Stokes' theorem (Goral 1984); has no shadows of its own, which "
+                         "rays add"),
+}  # fmt: skip
+_SOLVER_TEXTS = {
+    "auto": ("Automatic", "Choose the solver that suits the scene"),
+    "direct": ("Direct", "Elimination: exact, for few patches"),
+    "jacobi": ("Jacobi", "All patches gather at once, bounce by bounce"),
+    "gauss_seidel": ("Gauss-Seidel", "Patches gather one after the other: about half the bounces of Jacobi"),
+    "gmres": ("GMRES", "The best mix of all bounces so far: for bright rooms"),
+    "progressive_refinement": ("Progressive Refinement", "The brightest patches shoot first (Cohen 1988)"),
+}
+
+
+def _name_items(names, texts):
     return [
-        (name.upper(), *texts.get(name, (name.replace("_", " ").title(), f"Use this {what}")), number)
+        (name.upper(), *texts.get(name, (name.replace("_", " ").title(), "")), number)
         for number, name in enumerate(names)
     ]
 
@@ -75,8 +97,9 @@ def accuracy(**more):
 def method(**more):
     return EnumProperty(
         name="Method",
-        description="Choose how the exchange of light between surfaces is found",
-        items=_name_items(METHODS, "method"),
+        description="Choose how the exchange of light between surfaces is found: by form factors of this method, on "
+        "fewer patches than Automatic has",
+        items=_name_items(METHODS, _METHOD_TEXTS),
         default='AUTO',
         **more,
     )
@@ -85,8 +108,8 @@ def method(**more):
 def solver(**more):
     return EnumProperty(
         name="Solver",
-        description="Choose how the bounces of light are summed",
-        items=_name_items(SOLVERS, "solver"),
+        description="Choose how the bounces of light are summed: by a full matrix, on fewer patches than Automatic has",
+        items=_name_items(SOLVERS, _SOLVER_TEXTS),
         default='AUTO',
         **more,
     )

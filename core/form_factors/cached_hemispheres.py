@@ -177,6 +177,13 @@ class HitTable:
         outside[self.outside_row] = True
         return outside
 
+    def is_back(self) -> np.ndarray:
+        """(rows,) bool: backs of patches, and backs that reflect nothing."""
+        back = np.zeros(self.rows, bool)
+        back[self.patches.count : self.sky_start] = True
+        back[self.black_row] = True
+        return back
+
     def look_up(self, hits: dict, directions: np.ndarray) -> np.ndarray:
         """Row (n,) int32 that each ray leads to."""
         triangles = hits["primID"]

@@ -26,6 +26,7 @@ from .cells import Cells
 from .contour_integral import blockable_faces
 from .faces import Faces
 from .hemisphere import SampledRows
+from .point_rows import PointRows
 from .receivers import Receivers, face_cells, patch_rows
 
 #: Bound of a disk's relative error, in squares of cell radius over distance to the cell: 1.3 for a square that looks at
@@ -48,6 +49,9 @@ GOAL = 0.08
 #: Bound of a point's error, in units of the factor, over the accuracy asked for between patches: factors are seldom
 #: above a half, and the error is a fifth of its bound.
 SLACK = 2.0
+
+#: Bound of a point's error, relative to each factor or in units of it, over the relative error of its light.
+POINT_SLACK = 2.0
 
 #: Points times cells in hand at once: about 100 MB.
 BLOCK_CELLS = 2**18
@@ -211,7 +215,8 @@ def disk_rows(
             wanted[block] = renewed & (variance > (GOAL * accuracy) ** 2)
         if not wanted.any():
             break
-    worst = errors.max(axis=1, initial=0)
+    # Of a share of 1 nothing can be further off.
+    worst = np.minimum(errors.max(axis=1, initial=0), 1)
     if worst.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: sample limit", worst.max(), accuracy)
     return patch_rows(environment, faces, values, worst, used, 0 if sight is None else sight.visibility.rays)
@@ -349,3 +354,44 @@ def _take(receivers, work, targets, accuracy, see, tally):
     weights = receivers.weights[index]
     tally.add(receivers.rows[index], faces, weights * values, weights * bounds)
     return np.flatnonzero(lit & ~done)
+
+
+def disk_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, by as many disks as the bound of each factor's error asks for.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        Any that tests segments.
+    accuracy : float
+        Relative error wanted of the light that a point gathers. Errors of factors are bounds of one sign or the other,
+        and are shared out by area: the whole row keeps `POINT_SLACK` of it as its bound.
+    seed : int
+        Nothing is random.
+    threads : int
+        Threads of the ray engine, where it is used.
+
+    Returns
+    -------
+    PointRows
+    """
+    faces = Faces(environment)
+    targets = _Targets(face_cells(environment, faces), faces.areas, faces.normals)
+    sight = make_visibility(visibility, environment, threads)
+    count = len(environment)
+
+    def see(rows, faces, origins, targets):
+        return sight.visible(origins, targets)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        receivers = Receivers(points, normals, np.arange(len(points)), np.ones(len(points)))
+        tally = _Tally(np.ones((len(points), len(faces)), bool))
+        _gather(receivers, targets, POINT_SLACK * accuracy, see, tally)
+        out = np.zeros((len(points), count))
+        np.add.at(out.T, faces.owners, tally.values.T)
+        return np.minimum(out, 1)
+
+    return rows

@@ -24,11 +24,15 @@ from ..frames import tangents
 from ..visibility.zbuffer import Loops, item_buffer
 from .delta_factors import side_density, side_integrals, top_density, top_integrals
 from .hemisphere import SampledRows
-from .projection import facing_sides, projection_rows
+from .point_rows import PointRows
+from .projection import facing_sides, point_resolution, projection_points, projection_rows
 
 #: Pixels along a side of the top face. Many coarse hemicubes serve a patch better than a few fine ones: aliasing of
 #: independent hemicubes averages out, and their points integrate over the patch.
 RESOLUTION = 32
+
+#: Pixels along a side of the top face of a single point's hemicube, at an accuracy of 3 % of its light.
+POINT_RESOLUTION = 64
 
 #: Independent repetitions of each row, for the error estimate.
 REPETITIONS = 4
@@ -111,13 +115,19 @@ class Hemicube:
             faces.append(face.reshape(-1, 3))
         return np.concatenate(faces)
 
-    def items(self, points: np.ndarray, frames: np.ndarray, loops: Loops) -> np.ndarray:
-        """(p, c) int32: polygon seen through each pixel from points (p, 3) with frames (p, 3, 3), -1 for none."""
+    def items(
+        self, points: np.ndarray, frames: np.ndarray, loops: Loops, drawn: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(p, c) int32: polygon seen through each pixel from points (p, 3) with frames (p, 3, 3), -1 for none.
+
+        `drawn` (p, n) bool tells which polygons each point draws, if not all.
+        """
         count = len(points)
-        top, _ = item_buffer(points, frames, loops, self.columns, self.columns)
+        top, _ = item_buffer(points, frames, loops, self.columns, self.columns, drawn)
         sides = np.stack([frames[:, [along, 2, axis]] for axis, _, along in SIDES], axis=1)
         sides[:, :, 2] *= np.array([sign for _, sign, _ in SIDES])[:, None]
-        seen, _ = item_buffer(np.repeat(points, 4, axis=0), sides.reshape(-1, 3, 3), loops, self.columns, self.heights)
+        points, drawn = np.repeat(points, 4, axis=0), None if drawn is None else np.repeat(drawn, 4, axis=0)
+        seen, _ = item_buffer(points, sides.reshape(-1, 3, 3), loops, self.columns, self.heights, drawn)
         return np.concatenate((top.reshape(count, -1), seen.reshape(count, -1)), axis=1)
 
 
@@ -191,3 +201,28 @@ def hemicube_rows(
 def hemicubes(resolution: int = RESOLUTION) -> list[Hemicube]:
     """Cubes of the independent repetitions, each of one pixel more than the one before."""
     return [Hemicube.of(resolution + more) for more in range(REPETITIONS)]
+
+
+def hemicube_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, by one hemicube on each.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        ``zbuffer``: the technique brings its own.
+    accuracy : float
+        Relative error wanted of the light that a point gathers, from which the resolution follows: see
+        `point_resolution`.
+    seed : int
+        Turns each hemicube about its normal.
+    threads : int
+        Not used.
+
+    Returns
+    -------
+    PointRows
+    """
+    return projection_points(environment, Hemicube.of(point_resolution(POINT_RESOLUTION, accuracy)), seed)

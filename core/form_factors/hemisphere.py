@@ -26,6 +26,7 @@ import numpy as np
 from ..environment import Environment
 from ..errors import SettingsError
 from ..visibility.embree import OFFSET, RayEngine
+from .point_rows import PointRows, shifts_of_names
 from .sampling import PatchSampler, frames, hemisphere_directions, kronecker_points
 
 #: Independent repetitions of each row: enough for an error estimate that is itself good to a quarter.
@@ -37,6 +38,9 @@ MOST_RAYS = 2**21
 
 #: Rays in flight: about 60 MB of origins, directions and hits.
 BLOCK_RAYS = 2**18
+
+#: Rays of a single point at an accuracy of 3 % of its light, as many as the automatic bake takes.
+POINT_RAYS = 384
 
 #: Fall of the error with the number of rays, by sampling: 1/2 for independent rays; low discrepancy lies between that
 #: and 5/8, the limit for edges of patches seen in four dimensions.
@@ -255,9 +259,53 @@ class RowCaster:
         directions = np.matmul(local, self.frames[rows])
         origins += (self.offset * side)[:, :, None] * self.normals[rows][:, None]
         directions = directions.reshape(-1, 3)
-        triangles = self.engine.closest(origins.reshape(-1, 3), directions)[0]
-        met = self.owners[triangles]
+        bins = self.met(origins.reshape(-1, 3), directions) + np.repeat(np.arange(len(rows)) * (self.count + 1), length)
+        return np.bincount(bins, minlength=len(rows) * (self.count + 1)).reshape(len(rows), -1)
+
+    def met(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(r,) patch whose radiating side each ray meets, or the number of patches for none."""
+        met = self.owners[self.engine.closest(origins, directions)[0]]
         facing = np.einsum("ri,ri->r", directions, self.met_normals[np.minimum(met, self.count - 1)]) < 0
         seen = facing | self.met_two_sided[met]
-        bins = np.where(seen, met, self.count) + np.repeat(np.arange(len(rows)) * (self.count + 1), length)
-        return np.bincount(bins, minlength=len(rows) * (self.count + 1)).reshape(len(rows), -1)
+        return np.where(seen, met, self.count)
+
+
+def hemisphere_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, as shares of rays of equal contribution.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        ``embree``.
+    accuracy : float
+        Relative error wanted of the light that a point gathers: `POINT_RAYS` at 3 %, and by the square root of that.
+    seed : int
+        Turns the directions of each point.
+    threads : int
+
+    Returns
+    -------
+    PointRows
+
+    Raises
+    ------
+    MissingRayEngineError
+        If rays cannot be traced on this platform.
+    """
+    caster = RowCaster(environment, threads, "low_discrepancy")
+    rays = int(np.clip(8 * round(POINT_RAYS * (0.03 / accuracy) ** 0.5 / 8), 128, 1024))
+    table = kronecker_points(rays, 2)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        local = hemisphere_directions((table + shifts_of_names(names, seed, 2)[:, None]) % 1)
+        directions = np.matmul(local, frames(normals)).reshape(-1, 3)
+        bins = caster.met(np.repeat(points, rays, axis=0), directions) + np.repeat(
+            np.arange(len(points)) * (caster.count + 1), rays
+        )
+        hits = np.bincount(bins, minlength=len(points) * (caster.count + 1)).reshape(len(points), -1)
+        return hits[:, :-1] / rays
+
+    return rows

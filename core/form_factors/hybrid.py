@@ -28,6 +28,7 @@ from .contour_integral import blockable_faces, exchanges
 from .faces import Faces
 from .hemisphere import SampledRows
 from .plane_clipping import clip_loops
+from .point_rows import PointRows
 from .point_to_polygon import lambert_sum
 from .receivers import Receivers, face_cells
 
@@ -64,6 +65,12 @@ GOAL = 0.12
 
 #: Points times pieces in hand at once.
 BLOCK_PIECES = 2**16
+
+#: For single points: quarterings at most, and the factors, over the relative error wanted, below which a piece that is
+#: partly visible, or seems to be wholly so or not at all, is not cut further.
+POINT_LEVELS = 4
+POINT_SHARE = 0.05
+UNTESTED = 0.5
 
 logger = logging.getLogger(__name__)
 
@@ -235,3 +242,56 @@ def piece_factors(points: np.ndarray, normals: np.ndarray, pieces: Cells) -> np.
     cosines[cosines == 0] = np.finfo(np.float64).tiny
     factors[rows] = lambert_sum(crosses, normals[rows].T, None, cosines).clip(0, 1)
     return factors
+
+
+def hybrid_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches: the closed form of each piece that is visible.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        Any that tests segments.
+    accuracy : float
+        Relative error wanted of the light that a point gathers. Pieces are cut while they are mixed and their factor
+        is above `POINT_SHARE` of it, or may hide something and are above `UNTESTED` of it.
+    seed : int
+        Of the tests of the last pieces.
+    threads : int
+        Threads of the ray engine, where it is used.
+
+    Returns
+    -------
+    PointRows
+    """
+    faces = Faces(environment)
+    cells = face_cells(environment, faces)
+    owners = faces.owners[cells.patches]
+    sight = make_visibility(visibility, environment, threads)
+    count = len(environment)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        generator = np.random.default_rng((seed, int(names[0])))
+        which, cell = (index.ravel() for index in np.indices((len(points), len(cells))))
+        work, keys = cells[cell], which * count + owners[cell]
+        out = np.zeros(len(points) * count)
+        for level in range(POINT_LEVELS + 1):
+            factors = piece_factors(points[which], normals[which], work)
+            lit = np.flatnonzero(factors > 0)
+            which, work, keys, factors = which[lit], work[lit], keys[lit], factors[lit]
+            passed = _seen_ends(points[which], work, sight)
+            even = (passed == 0) | (passed == 1)
+            done = np.where(even, factors <= UNTESTED * accuracy, factors <= POINT_SHARE * accuracy)
+            if level == POINT_LEVELS:
+                done[:] = True
+            mixed = np.flatnonzero(done & ~even)
+            passed[mixed] = _seen_quarters(points[which[mixed]], work[mixed], sight, generator)
+            out += np.bincount(keys[done], factors[done] * passed[done], len(out))
+            which, keys, work = np.repeat(which[~done], 4), np.repeat(keys[~done], 4), work[~done].divided(2)
+            if not len(which):
+                break
+        return np.minimum(out, 1).reshape(len(points), count)
+
+    return rows

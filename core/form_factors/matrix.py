@@ -13,14 +13,16 @@ from ..errors import SceneTooLargeError, SettingsError
 from .automatic import automatic_rows
 from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
-from .disk import disk_rows
-from .hemicube import hemicube_rows
-from .hemisphere import SampledRows, hemisphere_rows
-from .hybrid import hybrid_rows
+from .disk import disk_points, disk_rows
+from .hemicube import hemicube_points, hemicube_rows
+from .hemisphere import SampledRows, hemisphere_points, hemisphere_rows
+from .hybrid import hybrid_points, hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
-from .point_to_point import point_to_point_rows
+from .point_rows import PointRows
+from .point_to_point import point_to_point_points, point_to_point_rows
 from .quadrature import quadrature_rows
-from .single_plane import single_plane_rows
+from .single_plane import single_plane_points, single_plane_rows
+from .visible_polygons import visible_polygon_points
 
 #: Matrix entries beyond which a matrix is refused: 8 GiB each for the factors and the copy that repairs them.
 LARGEST_MATRIX = 2**30
@@ -34,12 +36,14 @@ CLOSED_SHARE = 0.1
 class Method:
     """A way to fill a matrix.
 
-    ``compute(environment, visibility, accuracy, seed, threads, **options)`` returns `SampledRows`; `visibilities` are
-    the names it accepts, the first being what ``auto`` takes; `options` are the names of its own options; `refusal`
-    says why it accepts no other visibility.
+    ``compute(environment, visibility, accuracy, seed, threads, **options)`` returns `SampledRows`, and
+    ``at_points(environment, visibility, accuracy, seed, threads)`` what gives rows of single points (`point_rows`);
+    `visibilities` are the names it accepts, the first being what ``auto`` takes; `options` are the names of its own
+    options; `refusal` says why it accepts no other visibility.
     """
 
     compute: Callable[..., SampledRows]
+    at_points: Callable[..., PointRows]
     visibilities: tuple[str, ...]
     options: tuple[str, ...] = ()
     refusal: str = "there is none of that name"
@@ -65,16 +69,19 @@ BOTH_KINDS = "it parts what is visible from what is hidden; where nothing hides,
 
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
-    "hemisphere": Method(_hemisphere, ("embree",), ("sampling",), FIRST_HIT),
-    "hemicube": Method(hemicube_rows, ("zbuffer",), ("resolution",), ITEM_BUFFER),
-    "single_plane": Method(single_plane_rows, ("zbuffer",), ("resolution", "lost"), ITEM_BUFFER),
-    "point_to_polygon": Method(_point_to_polygon, (*SEGMENTS, "none")),
+    "hemisphere": Method(_hemisphere, hemisphere_points, ("embree",), ("sampling",), FIRST_HIT),
+    "hemicube": Method(hemicube_rows, hemicube_points, ("zbuffer",), ("resolution",), ITEM_BUFFER),
+    "single_plane": Method(single_plane_rows, single_plane_points, ("zbuffer",), ("resolution", "lost"), ITEM_BUFFER),
+    "point_to_polygon": Method(_point_to_polygon, visible_polygon_points, (*SEGMENTS, "none")),
     "point_to_point": Method(
-        point_to_point_rows, ("silhouettes", *(name for name in SEGMENTS if name != "silhouettes"), "none"), ("cells",)
+        point_to_point_rows,
+        point_to_point_points,
+        ("silhouettes", *(name for name in SEGMENTS if name != "silhouettes"), "none"),
+        ("cells",),
     ),
-    "disk": Method(disk_rows, (*SEGMENTS, "none"), ("sampling", "samples")),
-    "hybrid": Method(hybrid_rows, SEGMENTS, ("detection",), BOTH_KINDS),
-    "contour_integral": Method(contour_rows, (*SEGMENTS, "none"), ("fast",)),
+    "disk": Method(disk_rows, disk_points, (*SEGMENTS, "none"), ("sampling", "samples")),
+    "hybrid": Method(hybrid_rows, hybrid_points, SEGMENTS, ("detection",), BOTH_KINDS),
+    "contour_integral": Method(contour_rows, visible_polygon_points, (*SEGMENTS, "none"), ("fast",)),
 }
 
 #: What ``auto`` takes where a visibility or an option is named, which leaves no choice for each pair.

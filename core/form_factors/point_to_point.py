@@ -31,6 +31,7 @@ from ..visibility.convex_loops import is_convex, pad
 from ..visibility.segments import make_visibility
 from ..visibility.silhouettes import SilhouetteVisibility
 from .hemisphere import SampledRows
+from .point_rows import PointRows
 
 #: Cells per side of a patch in successive rounds.
 CELLS = (1, 2, 4, 8, 16, 32)
@@ -45,6 +46,12 @@ STEADY_FALL = (0.15, 0.65)
 
 #: Pairs of points evaluated at once: temporaries near 60 MB.
 BLOCK_POINTS = 2**20
+
+#: For single points: cells per side of a part of a patch, quarterings of parts that are too near for the largest, and
+#: cells per side of a part as wide as it is far, in inverse square roots of the relative error wanted.
+POINT_CELLS = (1, 2, 4)
+DEEPEST = 16
+SPACING = 0.5
 
 #: Squared distance, in squares of the coordinates' size, below which two points coincide and exchange nothing.
 COINCIDENT = 1e-28
@@ -368,3 +375,95 @@ class _Integrator:
             sums = np.minimum(sums * (0.5 if two_sided[0] else 1.0), 1)
             factors[chosen] = (sums * areas).sum(axis=1) / self.areas[here]
         return factors
+
+    def facing(self, points, normals, sources, corners):
+        """(m,) bool: whether something of each part of a source, with corners (m, 4, 3), is before its point."""
+        rays = corners - points[:, None]
+        back = -np.einsum("mi,mi->m", rays[:, 0], self.normals[sources])
+        return (np.einsum("mki,mi->mk", rays, normals).max(axis=1) > 0) & ((back > 0) | self.two_sided[sources])
+
+    def from_points(self, points, normals, sources, corners, cells):
+        """Factors (m,) from points to parts of a source each, with corners (m, 4, 3), on grids of `cells` per side."""
+        factors, steps = np.zeros(len(points)), grid_steps(cells)
+        block = max(1, BLOCK_POINTS // (cells + 1) ** 2)
+        for start in range(0, len(points), block):
+            part = slice(start, start + block)
+            grid, facing = _Grid(*vertex_grid(corners[part], steps), steps), self.normals[sources[part]]
+            # Seen from behind, a two-sided source looks the other way.
+            side = np.einsum("mi,mi->m", points[part] - corners[part, 0], facing)
+            facing = np.where(side < 0, -1.0, 1.0)[:, None] * facing
+            sums = _vertex_sums(points[part, None], normals[part, None], grid, facing, (False, False), self.visibility)
+            factors[part] = sums[:, 0]
+        return np.minimum(factors, 1)
+
+
+def point_to_point_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches by the vertex formula, on grids that are finer the nearer the patch is.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        Any that tests segments.
+    accuracy : float
+        Relative error wanted of each factor. That of a grid is about the square of spacing over distance.
+    seed : int
+        Nothing is random.
+    threads : int
+        Threads of the ray engine, where it is used.
+
+    Returns
+    -------
+    PointRows
+
+    Raises
+    ------
+    SettingsError
+        If the visibility is unknown or cannot serve the environment.
+    """
+    integrator = _Integrator(environment, make_visibility(visibility, environment, threads))
+    count, quads = len(environment), len(integrator.corners)
+
+    def rows(points: np.ndarray, normals: np.ndarray, names: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(points), count))
+        which, source = (index.ravel() for index in np.indices((len(points), quads)))
+        corners = integrator.corners[source]
+        for depth in range(DEEPEST + 1):
+            lit = integrator.facing(points[which], normals[which], source, corners)
+            which, source, corners = which[lit], source[lit], corners[lit]
+            cells = cells_wanted(points[which], corners, accuracy)
+            if depth == DEEPEST:
+                cells = np.minimum(cells, POINT_CELLS[-1])
+            for level in POINT_CELLS:
+                chosen = np.flatnonzero((cells <= level) & (2 * cells > level))
+                factors = integrator.from_points(
+                    points[which[chosen]], normals[which[chosen]], source[chosen], corners[chosen], level
+                )
+                np.add.at(out, (which[chosen], integrator.patches[source[chosen]]), factors)
+            near = np.flatnonzero(cells > POINT_CELLS[-1])
+            if not len(near):
+                break
+            which, source, corners = np.repeat(which[near], 4), np.repeat(source[near], 4), quartered(corners[near])
+        return np.minimum(out, 1)
+
+    return rows
+
+
+def cells_wanted(points: np.ndarray, corners: np.ndarray, accuracy: float) -> np.ndarray:
+    """(m,) cells per side, 1 or more, that quadrilaterals (m, 4, 3) need as seen from points (m, 3)."""
+    middles = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    nearest = np.maximum(np.linalg.norm(points - middles, axis=1) - radii, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = 2 * SPACING / accuracy**0.5 * radii / nearest
+    return 2.0 ** np.ceil(np.log2(np.where(radii > 0, np.maximum(wanted, 1), 1)))
+
+
+def quartered(corners: np.ndarray) -> np.ndarray:
+    """(4 m, 4, 3) quadrilaterals, four in place of each, cut by the lines through the middles of opposite sides."""
+    a, b, c, d = (corners[:, place] for place in range(4))
+    ab, bc, cd, da, middle = (a + b) / 2, (b + c) / 2, (c + d) / 2, (d + a) / 2, (a + b + c + d) / 4
+    parts = [(a, ab, middle, da), (ab, b, bc, middle), (middle, bc, c, cd), (da, middle, cd, d)]
+    return np.stack([np.stack(part, axis=1) for part in parts], axis=1).reshape(-1, 4, 3)

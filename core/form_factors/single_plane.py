@@ -21,10 +21,14 @@ from ..errors import SettingsError
 from ..visibility.zbuffer import Loops, item_buffer
 from .delta_factors import top_corner
 from .hemisphere import SampledRows
-from .projection import projection_rows
+from .point_rows import PointRows
+from .projection import point_resolution, projection_points, projection_rows
 
 #: Proxels along a side of the plane: about as many in all as a default hemicube has pixels.
 RESOLUTION = 48
+
+#: Proxels along a side of a single point's plane, at an accuracy of 3 % of its light.
+POINT_RESOLUTION = 96
 
 #: Independent repetitions of each row, for the error estimate.
 REPETITIONS = 4
@@ -132,9 +136,14 @@ class SinglePlane:
             lost=float(1 - total),
         )
 
-    def items(self, points: np.ndarray, frames: np.ndarray, loops: Loops) -> np.ndarray:
-        """(p, c) int32: polygon seen through each proxel from points (p, 3) with frames (p, 3, 3), -1 for none."""
-        return item_buffer(points, frames, loops, self.columns, self.rows)[0].reshape(len(points), -1)
+    def items(
+        self, points: np.ndarray, frames: np.ndarray, loops: Loops, drawn: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(p, c) int32: polygon seen through each proxel from points (p, 3) with frames (p, 3, 3), -1 for none.
+
+        `drawn` (p, n) bool tells which polygons each point draws, if not all.
+        """
+        return item_buffer(points, frames, loops, self.columns, self.rows, drawn)[0].reshape(len(points), -1)
 
 
 def single_plane_rows(
@@ -181,3 +190,29 @@ def single_planes(accuracy: float, resolution: int = RESOLUTION, lost: float | N
     """Planes of the independent repetitions, each of one proxel more along a side than the one before."""
     lost = LOST_PART * accuracy if lost is None else lost
     return [SinglePlane.of(lost, resolution + more) for more in range(REPETITIONS)]
+
+
+def single_plane_points(
+    environment: Environment, visibility: str, accuracy: float, seed: int = 0, threads: int = 0
+) -> PointRows:
+    """Factors from points to all patches, by one plane above each.
+
+    Parameters
+    ----------
+    environment : Environment
+    visibility : str
+        ``zbuffer``: the technique brings its own.
+    accuracy : float
+        Relative error wanted of the light that a point gathers; `LOST_PART` of it may be lost beside the plane, and the
+        resolution follows: see `point_resolution`.
+    seed : int
+        Turns each plane about its normal.
+    threads : int
+        Not used.
+
+    Returns
+    -------
+    PointRows
+    """
+    plane = SinglePlane.of(LOST_PART * accuracy, point_resolution(POINT_RESOLUTION, accuracy))
+    return projection_points(environment, plane, seed)

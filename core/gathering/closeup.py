@@ -46,7 +46,7 @@ class Closeup:
         """Remember what receivers `who` (n,) of irradiance `values` (n, 3) have seen in the table `rows` (n, N) of an
         even sample taken under their own numbers as names."""
         self._dim = max(self._dim, DIM * float(values.max(axis=1).mean())) if len(who) else self._dim
-        brightness = self.solution.table()[:, :3].max(axis=1)[rows]
+        brightness = self.solution.looked_up()[:, :3].max(axis=1)[rows]
         bright = brightness > (self.detail * rows.shape[1] * self._levels(values))[:, None]
         self._brightest = max(self._brightest, float(brightness[bright].max(initial=0)))
         self._known.note(who, points, normals, bright, who, seed)
@@ -65,8 +65,8 @@ class Closeup:
         names: np.ndarray,
         seed: int,
     ) -> Generator[float, None, tuple[np.ndarray, int]]:
-        """Irradiance (n, 3) after a close look, that of the even sample, `values`, where there is nothing to look at;
-        and the rays it took. For the rest see `sharpen`."""
+        """What rays bring of the irradiance (n, 3) after a close look, or that of the even sample, `values`, where
+        there is nothing to look at; and the rays it took. For the rest see `sharpen`."""
         solution = self.solution
         chosen = np.flatnonzero(marked.any(axis=1) & (marked.mean(axis=1) <= MOST))
         if not len(chosen):
@@ -75,7 +75,7 @@ class Closeup:
         def light_of(rows: np.ndarray) -> np.ndarray:
             if solution.meet(rows):
                 finish(solution.follow())
-            return solution.table()[rows, :3]
+            return solution.looked_up()[rows, :3]
 
         better, rays = yield from sharpen(
             solution.tracer,

@@ -123,11 +123,14 @@ class _Gatherer:
             self.distances[part] = seen.distances
             self.traced[part] = True
             self.spent += self.rays * len(part)
-            self.values[part] = seen.irradiance(solution.table())
+            self.values[part] = seen.irradiance(solution.looked_up())
             self.closeup.note(part, points, normals, seen.rows, self.values[part], self.seed)
             marked = self.closeup.marked(part, points, normals, around[start : start + block])
             work = self.closeup.values(points, normals, seen.rows, marked, self.values[part], part, self.seed)
             self.values[part], closer = yield from shared_progress(work, second, third)
+            if solution.exchange is not None:
+                work = solution.exchange.irradiance(points, normals, part)
+                self.values[part] += yield from shared_progress(work, second, third)
             work = near_field(
                 solution,
                 points,

@@ -62,9 +62,12 @@ def probe_error(
     seen = finish(
         gather(solution.tracer, solution.hits_to_rows, points, normals, hemisphere, solution.pool, seed + 7919)
     )
-    even, names = seen.irradiance(solution.table()), np.arange(len(chosen))
+    even, names = seen.irradiance(solution.looked_up()), np.arange(len(chosen))
     marked = indirect.closeup.marked(chosen, points, normals, indirect.around(chosen))
     gathered, closer = finish(indirect.closeup.values(points, normals, seen.rows, marked, even, names, seed + 7919))
+    if solution.exchange is not None:
+        # By rays as well, which check the method that way.
+        gathered = gathered + seen.irradiance(solution.table() - solution.looked_up())
     work = near_field(solution, points, normals, seen, gathered, lit, near, seed + 7919, names)
     mended, spent = finish(work)
     rays += hemisphere * len(chosen) + closer + spent

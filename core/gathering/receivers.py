@@ -99,13 +99,15 @@ def _part_groups(group: np.ndarray, vertices: np.ndarray, normals: np.ndarray, c
         group[corners] = corners[representative][inverse.reshape(-1)]
 
 
-def _next_corners(mesh: ReceiverMesh) -> np.ndarray:
+def next_corners(mesh: ReceiverMesh) -> np.ndarray:
+    """(c,) int32 the corner that follows each around its face."""
     following = np.arange(1, len(mesh.corner_vertices) + 1, dtype=np.int32)
     following[mesh.face_offsets[1:] - 1] = mesh.face_offsets[:-1]
     return following
 
 
-def _previous_corners(mesh: ReceiverMesh) -> np.ndarray:
+def previous_corners(mesh: ReceiverMesh) -> np.ndarray:
+    """(c,) int32 the corner before each around its face."""
     previous = np.arange(-1, len(mesh.corner_vertices) - 1, dtype=np.int32)
     previous[mesh.face_offsets[:-1]] = mesh.face_offsets[1:] - 1
     return previous
@@ -136,7 +138,7 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
         normals.append(np.asarray(mesh.normals_at(leaders), np.float32))
         sizes.append(_mean_sides(mesh, place, group))
         group += base
-        pairs.append((group, group[_next_corners(mesh)]))
+        pairs.append((group, group[next_corners(mesh)]))
         groups.append(group)
         base += len(leaders)
         del place, leaders
@@ -170,7 +172,7 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
 
 def _mean_sides(mesh: ReceiverMesh, places: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Mean length (g,) float32 of the sides that start at the corners of each group; `places` (v, 3) of vertices."""
-    following = _next_corners(mesh)
+    following = next_corners(mesh)
     lengths = np.empty(len(following), np.float32)
     for start in range(0, len(lengths), BLOCK):
         part = slice(start, start + BLOCK)
@@ -222,7 +224,7 @@ def _inward(
             continue
         # The last place stands for corners without a receiver, -1.
         corners = np.flatnonzero(np.append(borders, False)[group])
-        around = [corners, _next_corners(mesh)[corners], _previous_corners(mesh)[corners]]
+        around = [corners, next_corners(mesh)[corners], previous_corners(mesh)[corners]]
         places = frame.to_unit(mesh.positions[mesh.corner_vertices[around]])
         ahead, back = places[1] - places[0], places[2] - places[0]
         sound = np.isfinite(ahead).all(axis=1) & np.isfinite(back).all(axis=1)

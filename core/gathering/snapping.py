@@ -37,13 +37,13 @@ def snap_to_surface(tracer: Tracer, receivers: Receivers, chosen: np.ndarray, po
         places = receivers.points[left] + np.float32(step) * receivers.inward[left]
         normals = receivers.normals[left]
         reach = (np.float32(REACH) * receivers.sizes[left] + np.float32(4 * OFFSET))[:, None]
-        found, heights = _own_surface(tracer, places + reach * normals, -reach * normals, normals, pool)
+        found, heights = own_surface(tracer, places + reach * normals, -reach * normals, normals, pool)
         points[left[found]] = (places + (1 - heights[:, None]) * reach * normals)[found]
         left = left[~found]
     return replace(receivers, points=points)
 
 
-def _own_surface(tracer, starts, segments, normals, pool):
+def own_surface(tracer, starts, segments, normals, pool):
     """Whether a surface that faces as the normals (n, 3) crosses each segment or its double, and where, in lengths of
     it; of several the one nearest to its end is taken."""
     found, where = np.zeros(len(starts), bool), np.ones(len(starts), np.float32)

@@ -19,6 +19,7 @@ import numpy as np
 from ..discretization.patches import POINTS, Patches
 from ..form_factors.bright_directions import MOST, BrightDirections, sharpen
 from ..form_factors.cached_hemispheres import Gathered, HitTable, gather
+from ..form_factors.point_rows import PointExchange
 from ..lights import Light
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
@@ -72,7 +73,8 @@ class PatchSolution:
     `radiosity` (2P, 3) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
     `irradiance` (2P, 3) is what arrives. The solver stops when a bounce changes the radiosity by less than `tolerance`,
     RMS by area, relative to the RMS of the radiosity. `detail` is the part of a point's light that a single ray to the
-    sky may carry before its neighborhood is looked at closely.
+    sky may carry before its neighborhood is looked at closely. `exchange` is what brings the light of patches to
+    receivers where that is not left to rays.
     """
 
     tracer: Tracer
@@ -95,6 +97,7 @@ class PatchSolution:
     _small: np.ndarray = field(init=False)
     enclosed: np.ndarray = field(init=False)
     factors: SparseRows = field(init=False)
+    exchange: PointExchange | None = field(init=False, default=None)
     sweeps: int = 0
     residual: float = 0.0
     rays_traced: int = 0
@@ -119,6 +122,10 @@ class PatchSolution:
     def table(self) -> np.ndarray:
         """(rows, 4) float32, for `Gathered.irradiance`."""
         return self.hits_to_rows.table(self.radiosity)
+
+    def looked_up(self) -> np.ndarray:
+        """(rows, 4) float32: the part of the table that rays bring to receivers; `exchange` brings the rest."""
+        return self.table()
 
     def dark_rows(self) -> np.ndarray:
         """(rows,) bool: backs inside solids, and backs that reflect nothing."""

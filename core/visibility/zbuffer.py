@@ -87,7 +87,12 @@ class Loops:
 
 
 def item_buffer(
-    viewpoints: np.ndarray, projections: np.ndarray, loops: Loops, columns: np.ndarray, rows: np.ndarray
+    viewpoints: np.ndarray,
+    projections: np.ndarray,
+    loops: Loops,
+    columns: np.ndarray,
+    rows: np.ndarray,
+    drawn: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Polygon seen through each sample of each view, and its depth.
 
@@ -103,6 +108,8 @@ def item_buffer(
         Ascending horizontal positions of the samples, for all rows or for each row its own.
     rows : (h,) float
         Ascending vertical positions of the samples.
+    drawn : (v, n) bool, optional
+        Polygons that each view draws; all when left out. Pays where they are few.
 
     Returns
     -------
@@ -120,7 +127,8 @@ def item_buffer(
     for start in range(0, count, step):
         part = slice(start, min(start + step, count))
         block = slice(part.start * grid.size, part.stop * grid.size)
-        _draw(viewpoints[part], projections[part], loops, grid, nearness[block], items[block])
+        chosen = None if drawn is None else drawn[part]
+        _draw(viewpoints[part], projections[part], loops, grid, nearness[block], items[block], chosen)
     shape = (count, grid.height, grid.width)
     with np.errstate(divide="ignore"):
         return items.reshape(shape), (1 / nearness).reshape(shape)
@@ -168,21 +176,16 @@ def _groups(lengths: np.ndarray):
         start = stop
 
 
-def _draw(viewpoints, projections, loops, grid, nearness, items):
-    """Draw all polygons in some views: update their `nearness`, which is 1 / depth, and `items`, both flat."""
-    # Coordinates come first: the product of small matrices with long ones is fast, that of long with small is not.
-    local = np.matmul(projections, loops.corners.T - viewpoints[:, :, None])
-    views, polygons = np.nonzero(_in_view(local, loops, grid))
-    heights = np.einsum("ki,ki->k", loops.anchors[polygons] - viewpoints[views], loops.normals[polygons])
-    seen = np.flatnonzero(np.abs(heights) > loops.edge_on)
-    views, polygons, heights = views[seen], polygons[seen], heights[seen]
+def _draw(viewpoints, projections, loops, grid, nearness, items, drawn):
+    """Draw polygons in some views: update their `nearness`, which is 1 / depth, and `items`, both flat."""
+    find = _all_in_view if drawn is None else _drawn_in_view
+    views, polygons, heights, corners, ends = find(viewpoints, projections, loops, grid, drawn)
     if not len(views):
         return
     # The plane n . p = h becomes N . (x, y, z) = h, so 1 / z is N . (X, Y, 1) / h at the image point (X, Y).
     planes = np.einsum("kij,kj->ki", _cofactors(projections)[views], loops.normals[polygons]) / heights[:, None]
     planes[heights > 0] *= 1 - BACK_FACE
-    pairs, corners = ranges(loops.offsets[polygons], np.diff(loops.offsets)[polygons])
-    ends = local[views[pairs], :, corners].T
+    pairs = np.repeat(np.arange(len(views)), np.diff(loops.offsets)[polygons])
     # The loops of all pairs lie end to end, too, so an edge's second end is the entry of the next corner.
     ahead = np.arange(len(corners)) + loops.following[corners] - corners
     edges = _edge_rows(ends, ahead, pairs, grid)
@@ -193,15 +196,55 @@ def _draw(viewpoints, projections, loops, grid, nearness, items):
         _fill(_spans(ends, ahead, part, planes, grid), views, polygons, planes, grid, nearness, items)
 
 
-def _in_view(local: np.ndarray, loops: Loops, grid: _Grid) -> np.ndarray:
-    """(v, n) bool: polygons that do not lie wholly beyond one border of the view, or behind it."""
-    x, y, z = (local[:, i] for i in range(3))
-    # One bit per border: what all corners of a polygon have in common is left of them after a bitwise and.
+def _all_in_view(viewpoints, projections, loops, grid, _):
+    """Pairs of a view and a polygon that may appear in it, views ascending.
+
+    Returns views (k,), polygons (k,), heights (k,) of the polygons' planes above the viewpoints, their corners (c,) one
+    after the other, and these after projection (3, c).
+    """
+    # Coordinates come first: the product of small matrices with long ones is fast, that of long with small is not.
+    local = np.matmul(projections, loops.corners.T - viewpoints[:, :, None])
+    beyond = _beyond(*(local[:, i] for i in range(3)), grid)
+    views, polygons = np.nonzero(np.bitwise_and.reduceat(beyond, loops.offsets[:-1], axis=1) == 0)
+    views, polygons, heights = _off_edge(viewpoints, loops, views, polygons)
+    pairs, corners = ranges(loops.offsets[polygons], np.diff(loops.offsets)[polygons])
+    return views, polygons, heights, corners, local[views[pairs], :, corners].T
+
+
+def _drawn_in_view(viewpoints, projections, loops, grid, drawn):
+    """`_all_in_view` among the pairs of `drawn` (v, n)."""
+    views, polygons, heights = _off_edge(viewpoints, loops, *np.nonzero(drawn))
+    counts = np.diff(loops.offsets)[polygons]
+    pairs, corners = ranges(loops.offsets[polygons], counts)
+    views_of = views[pairs]
+    rays = [loops.corners[corners, i] - viewpoints[views_of, i] for i in range(3)]
+    ends = np.empty((3, len(corners)))
+    for i in range(3):
+        x, y, z = (projections[views_of, i, j] * rays[j] for j in range(3))
+        ends[i] = x + y + z
+    inside = np.bitwise_and.reduceat(_beyond(*ends, grid), np.cumsum(counts) - counts) == 0
+    kept = np.repeat(inside, counts)
+    return views[inside], polygons[inside], heights[inside], corners[kept], ends[:, kept]
+
+
+def _off_edge(viewpoints, loops, views, polygons):
+    """Those pairs whose polygon is not seen edge-on, and the heights of their planes above the viewpoints."""
+    heights = np.einsum("ki,ki->k", loops.anchors[polygons] - viewpoints[views], loops.normals[polygons])
+    seen = np.flatnonzero(np.abs(heights) > loops.edge_on)
+    return views[seen], polygons[seen], heights[seen]
+
+
+def _beyond(x: np.ndarray, y: np.ndarray, z: np.ndarray, grid: _Grid) -> np.ndarray:
+    """Borders of the view beyond which points lie, one bit each, and one for behind it.
+
+    What all corners of a polygon have in common is left of them after a bitwise and: where that is anything, the
+    polygon does not appear.
+    """
     beyond = (z <= 0).view(np.uint8)
     sides = (x < grid.low * z, x > grid.high * z, y < grid.rows[0] * z, y > grid.rows[-1] * z)
     for bit, side in enumerate(sides, 1):
         beyond |= side.view(np.uint8) << np.uint8(bit)
-    return np.bitwise_and.reduceat(beyond, loops.offsets[:-1], axis=1) == 0
+    return beyond
 
 
 def _cofactors(projections: np.ndarray) -> np.ndarray:

@@ -568,3 +568,26 @@ def test_paths_are_independent_of_the_kind_of_slash(room, tmp_path):
     folder = f"{tmp_path}{os.sep}results{os.sep}"
     assert run(room, "--report", folder, "--quality", "draft") == 0
     assert Path(folder, "room.json").is_file()
+
+
+@pytest.mark.parametrize("method", ["hemisphere", "contour-integral", "HEMICUBE"])
+def test_method_by_name_bakes_and_is_told_in_the_report(room, tmp_path, method):
+    report = tmp_path / "r.json"
+    arguments = ["bake", str(room), "--report", str(report), "--quality", "draft", "--verify"]
+    assert main([*arguments, "--method", method, "--solver", "gmres"]) == 0
+    told = json.loads(report.read_text(encoding="utf-8"))
+    name = method.lower().replace("-", "_")
+    assert (told["settings"]["method"], told["settings"]["solver"]) == (name, "gmres")
+    assert (told["method"], told["solver"]) == (name, "gmres") and told["polygons"] > 50
+    # The accuracy that a draft asks for.
+    assert told["measured_error_low"] < 0.1
+
+
+def test_operator_and_command_line_give_the_same_bits_by_a_method(room, tmp_path):
+    out = tmp_path / "out.blend"
+    assert main(["bake", str(room), "--output", str(out), "--quality", "draft", "--method", "single-plane"]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    first = colors()["Room"]
+    bpy.ops.wm.open_mainfile(filepath=str(room))
+    bpy.ops.radiosity.bake(quality='DRAFT', method='SINGLE_PLANE', show_in_viewport=False)
+    assert np.array_equal(colors()["Room"], first)

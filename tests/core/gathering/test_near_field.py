@@ -69,7 +69,7 @@ def test_nothing_changes_where_radiosity_is_uniform():
     with RayPool(1) as pool:
         frame = Frame.around(cleaned.surfaces.vertices)
         surfaces = replace(cleaned.surfaces, vertices=module._moved(cleaned.surfaces.vertices, frame))
-        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, pool)
+        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
         solution = module._patch_solution(model, scene, plan, settings, pool)
         finish(solution.solve())
         receivers = build_receivers(scene.receivers, frame)

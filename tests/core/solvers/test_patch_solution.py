@@ -27,7 +27,7 @@ def solved(scene, accuracy=0.1, seed=0):
     surfaces = replace(cleaned.surfaces, vertices=(cleaned.surfaces.vertices - frame.center) / frame.size)
     plan, settings = plan_for(accuracy), BakeSettings(accuracy=accuracy, seed=seed)
     with RayPool(1) as pool:
-        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, pool)
+        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
         solution = module._patch_solution(model, scene, plan, settings, pool)
         finish(solution.solve())
     return solution, model

@@ -35,7 +35,7 @@ from .matrix_plan import FACTOR_SHARE, check_size, check_surfaces, has_name, mat
 from .progress import Progress, finish, shared_progress
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
-from .solvers.matrix_checks import check_matrix, matrix_statistics
+from .solvers.matrix_checks import check_matrix, matrix_statistics, matrix_warnings
 from .solvers.matrix_solution import MatrixSolution
 from .solvers.patch_checks import check_patches
 from .solvers.patch_solution import PatchSolution
@@ -184,6 +184,8 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         for (mesh, vertices), corners in zip(stored, receivers.corner_receivers, strict=True)
     ]
     warnings += _receiver_warnings(meshes)
+    if isinstance(solution, MatrixSolution):
+        warnings += matrix_warnings(solution)
     if indirect.is_cut_short:
         warnings.append(
             f"The time limit of {settings.time_limit:g} s ended refinement early: the estimated error is {error:.1%}"

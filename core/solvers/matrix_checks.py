@@ -45,3 +45,14 @@ def matrix_statistics(solution: MatrixSolution) -> dict:
         "raw_closure_error": factors.raw_closure_error,
         "raw_reciprocity_error": factors.raw_reciprocity_error,
     }
+
+
+def matrix_warnings(solution: MatrixSolution) -> list[str]:
+    """What a method says about itself, for the report: that its limits ended it before the accuracy asked for."""
+    error = solution.polygon_factors.estimated_error
+    if error <= solution.factor_accuracy:
+        return []
+    return [
+        f"Form factors by {solution.method} may be off by {error:.2g}, not {solution.factor_accuracy:.2g} as asked "
+        "for: the method reached its limit of samples"
+    ]

@@ -114,3 +114,13 @@ def test_one_sided_faces_have_black_backs():
     for scene in (both, single):
         light = all_light(bake(scene, 0.05, method="hemisphere"))
         assert relative_rms(light, all_light(bake(scene, 0.01))) < 0.08
+
+
+def test_a_method_that_misses_its_accuracy_says_so_in_the_report(monkeypatch):
+    scene = cornell_box(6)
+    result = bake(scene, 0.03, method="hemisphere")
+    assert not any("Form factors by" in text for text in result.warnings)
+    computed = matrix_solution.form_factors
+    monkeypatch.setattr(matrix_solution, "form_factors", lambda *given: replace(computed(*given), estimated_error=0.26))
+    missed = bake(scene, 0.03, method="hemisphere")
+    assert any("by hemisphere may be off by 0.26, not 0.03 as asked for" in text for text in missed.warnings)

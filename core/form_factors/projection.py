@@ -170,8 +170,9 @@ class ProjectedRows:
         factors, anew = first.copy(), np.zeros(first.shape, dtype=bool)
         # A patch that no pixel met may still have up to a pixel's share at one of the points.
         pixel = max(camera.deltas.max() for camera in self.cameras)
-        unseen = pixel / cameras
-        errors = np.maximum(scatter.max(axis=1, initial=0), unseen)
+        lost = max(camera.lost for camera in self.cameras)
+        unseen, doubts = pixel / cameras, scatter.copy()
+        errors = np.maximum(doubts.max(axis=1, initial=0), unseen)
         for number in range(1, ROUNDS):
             pending = np.flatnonzero((errors > accuracy) & (levels < MOST_LEVEL))
             if not len(pending):
@@ -182,7 +183,7 @@ class ProjectedRows:
             levels[pending] = np.minimum(levels[pending] + steps, MOST_LEVEL)
             for finer in np.unique(levels[pending]):
                 part = pending[levels[pending] == finer]
-                wanted = uncertain(scatter[part], accuracy) | (unseen[part] > accuracy)[:, None]
+                wanted = uncertain(doubts[part], accuracy) | (unseen[part] > accuracy)[:, None]
                 new, beyond, spread, cameras[part] = self._sample(rows[part], int(finer), (seed, number), wanted)
                 whole = wanted.all(axis=1)
                 first[part[whole]], escaped[part[whole]] = new[whole], beyond[whole]
@@ -190,9 +191,10 @@ class ProjectedRows:
                 anew[part] = (anew[part] | wanted) & ~whole[:, None]
                 factors[part] = np.where(wanted, new, factors[part])
                 scatter[part] = np.where(wanted, spread, scatter[part])
-                errors[part] = np.maximum(scatter[part].max(axis=1, initial=0), unseen[part])
-        lost = max(camera.lost for camera in self.cameras)
-        factors, escaped = rebalanced(factors, first, escaped, anew, lost, accuracy)
+                balanced, _ = rebalanced(factors[part], first[part], escaped[part], anew[part], lost)
+                doubts[part] = np.maximum(scatter[part], np.abs(balanced - factors[part]))
+                errors[part] = np.maximum(doubts[part].max(axis=1, initial=0), unseen[part])
+        factors, escaped = rebalanced(factors, first, escaped, anew, lost)
         return factors, escaped, errors, cameras
 
     def _sample(self, rows: np.ndarray, level: int, seed: tuple[int, int], wanted: np.ndarray | None = None):

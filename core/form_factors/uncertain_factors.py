@@ -5,7 +5,8 @@ factor of a point changes steeply along the patch, while that of a distant patch
 more points, and a camera that wants them alone has to draw only what lies between the patch and them.
 
 A row's sum is known better than its factors: what an error takes from one of them it gives to others. So the rest of a
-row takes in proportion what the better factors leave, and the identity of the row's sum holds as it did.
+row takes in proportion what the better factors leave, and the identity of the row's sum holds as it did. What that
+changes of a factor counts as its error: few repetitions that agree by luck are found out by the sum.
 
 Cost: a comparison of boxes for each uncertain factor and polygon, in blocks. Where more than `MANY` factors of a row
 are uncertain everything is drawn.
@@ -35,8 +36,9 @@ BLOCK_PAIRS = 2**20
 
 
 def uncertain(errors: np.ndarray, accuracy: float) -> np.ndarray:
-    """(r, n) bool: factors to be computed anew, by the standard errors (r, n) of them all."""
-    return errors > UNCERTAIN * accuracy
+    """(r, n) bool: factors to be computed anew, by the errors (r, n) of them all; whole rows above `MANY`."""
+    wanted = errors > UNCERTAIN * accuracy
+    return wanted | (wanted.sum(axis=1) > MANY)[:, None]
 
 
 def steadied(variances: np.ndarray, factors: np.ndarray) -> np.ndarray:
@@ -53,7 +55,7 @@ def steadied(variances: np.ndarray, factors: np.ndarray) -> np.ndarray:
 
 
 def rebalanced(
-    factors: np.ndarray, first: np.ndarray, escaped: np.ndarray, anew: np.ndarray, lost: float, accuracy: float
+    factors: np.ndarray, first: np.ndarray, escaped: np.ndarray, anew: np.ndarray, lost: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows whose sum is again that of the first computation.
 
@@ -69,24 +71,21 @@ def rebalanced(
         Which were computed anew.
     lost : float
         What escapes of each row even where nothing can.
-    accuracy : float
-        Error wanted: `UNCERTAIN` of it is the most that any of the others changes.
 
     Returns
     -------
     factors : (r, n) float64
+        Those not computed anew, and what escapes beyond `lost`, changed by one common factor in each row; none where
+        the better ones leave nothing, none changed where there were none.
     escaped : (r,) float64
-        What is missing in the sum; but unchanged where nothing escaped but `lost`.
     """
-    total = first.sum(axis=1) + escaped
-    rest = total - lost - np.where(anew, first, 0).sum(axis=1)
-    left = total - lost - np.where(anew, factors, 0).sum(axis=1)
+    beyond = np.maximum(escaped - lost, 0)
+    beyond[beyond < NOTHING] = 0
     others = np.where(anew, 0, factors)
-    most = UNCERTAIN * accuracy / np.maximum(others.max(axis=1, initial=0), np.finfo(float).tiny)
-    growth = (left - rest) / np.where(rest > NOTHING, rest, np.inf)
-    factors = factors + others * np.clip(growth, -np.minimum(most, 1), most)[:, None]
-    is_open = anew.any(axis=1) & (escaped > lost + NOTHING)
-    return factors, np.where(is_open, np.maximum(total - factors.sum(axis=1), 0), escaped)
+    rest = others.sum(axis=1) + beyond
+    missing = np.where(anew, first - factors, 0).sum(axis=1)
+    growth = np.maximum(missing / np.where(rest > NOTHING, rest, np.inf), -1)
+    return factors + others * growth[:, None], escaped + beyond * growth
 
 
 class Between:

@@ -35,9 +35,10 @@ DIRECT_RAYS = 1024
 #: Places on a light of which a stop of a path looks at one, drawn by what they would give.
 LIGHT_PLACES = 16
 
-#: Stops from which on a path may be ended by chance, and the most likely it is then to go on.
+#: Stops from which on a path may be ended by chance. It goes on with the probability of what it carries, so that what
+#: goes on carries no more. One that were ended more often would have to make up for it, and among bright walls there
+#: would be no end to its scatter.
 SURE_STOPS = 3
-LASTING = 0.95
 
 #: Paths followed at a time: about 200 bytes each.
 BLOCK_PATHS = 65_536
@@ -210,7 +211,7 @@ def _follow(scene: PathScene, points, normals, paths: int, generator, pool: RayP
         _add(out, owners, shares * light)
         stop += 1
         if stop >= SURE_STOPS:
-            chance = np.minimum(shares.max(axis=1), LASTING)
+            chance = np.minimum(shares.max(axis=1), 1.0)
             lasting = np.nonzero(generator.random(len(chance)) < chance)[0]
             owners, places, facing = (a[lasting] for a in (owners, places, facing))
             shares = shares[lasting] / chance[lasting, None]

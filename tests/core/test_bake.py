@@ -184,7 +184,8 @@ def test_closed_room_absorbs_all_that_is_sent(seed):
     assert statistics["light_absorbed"] == pytest.approx(1, abs=0.01)
     assert statistics["energy_balance_error"] < 0.01
     assert statistics["light_escaped"] == 0
-    assert statistics["closure_error_max"] < 1e-9
+    # Factors are kept in float32.
+    assert statistics["closure_error_max"] < 2**-24
 
 
 def test_open_scene_lets_power_escape():

@@ -18,7 +18,7 @@ RANKS = (
     ("addon/properties", 2),
     ("operators", 3),
     ("addon/panels", 4),
-    ("addon/command_line", 4),
+    ("addon/command_", 4),
     ("addon", 5),  # addon/__init__.py puts all of them together
     ("__init__", 6),
     ("__main__", 6),

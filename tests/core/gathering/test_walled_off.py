@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from radiosity.core import bake as module
-from radiosity.core.gathering.walled_off import WalledOff
+from radiosity.core.gathering.walled_off import APART, WalledOff
 from radiosity.core.lights import PointLight
 from radiosity.core.visibility.embree import is_available
 
@@ -48,9 +48,8 @@ def test_corner_in_the_dark_takes_the_light_of_the_room(inside):
     assert np.all((light > 0.4 * inside) & (light < 2.5 * inside))
 
 
-def test_where_nothing_is_cut_off_no_bit_changes(monkeypatch):
-    scene = cornell_box(12)
-    with_stage = all_light(bake(scene))
+def without_stage(monkeypatch, scene, accuracy):
+    """Light of all receivers where none is looked for behind walls."""
     nobody = np.empty(0, np.int64)
     nothing = WalledOff(
         nobody,
@@ -65,7 +64,38 @@ def test_where_nothing_is_cut_off_no_bit_changes(monkeypatch):
         np.empty(0),
     )
     monkeypatch.setattr(module, "find_walled_off", lambda *_: nothing)
-    assert np.array_equal(all_light(bake(scene)), with_stage)
+    return all_light(bake(scene, accuracy))
+
+
+def test_where_nothing_is_cut_off_no_bit_changes(monkeypatch):
+    scene = cornell_box(12)
+    with_stage = all_light(bake(scene, 0.1))
+    assert np.array_equal(without_stage(monkeypatch, scene, 0.1), with_stage)
+
+
+def test_corner_dim_because_walls_meet_there_stays_dim(monkeypatch):
+    # Walls that lean inward stand between the corners of the ceiling and all the rest of it, as measured walls do.
+    top, bottom = [(0, 0, 0.9), (0, 1, 0.9), (1, 1, 0.9), (1, 0, 0.9)], [(0.2, 0.2), (0.2, 0.8), (0.8, 0.8), (0.8, 0.2)]
+    room = np.array([*top, *((x, y, 0) for x, y in bottom)], float)
+    sides = [(4, 7, 6, 5), *((i, (i + 1) % 4, 4 + (i + 1) % 4, 4 + i) for i in range(4))]
+    lamp = PointLight(np.array([0.5, 0.5, 0.5]), np.full(3, 0.1), 0.02)
+    scene = scene_of(Thing(room[:4], np.array([(0, 1, 2, 3)])), Thing(room, np.array(sides)), lights=(lamp,))
+    light = all_light(bake(scene, 0.05))
+    assert np.array_equal(without_stage(monkeypatch, scene, 0.05)[:4], light[:4])
+
+
+def test_hollow_full_of_backs_is_no_room(monkeypatch):
+    # Most of the panel lies in a box without a bottom, into which a little light leaks from below.
+    quad = grid([(0.05, 0.5, 0.1), (0.95, 0.5, 0.1), (0.95, 0.5, 0.9), (0.05, 0.5, 0.9)], 1, 1)
+    vertices, faces, sides = box((0.77, 0.2, 0.86), 2)
+    cover = Thing(vertices + np.array([0.2, 0.4, 0.09]), faces[sides != 4][:, ::-1], receives=False)
+    walls = Thing(*box((1.0, 1.0, 1.0), 8)[:2], receives=False)
+    scene = scene_of(Thing(*quad, name="Panel"), walls, cover, lights=(LAMP,))
+    light = all_light(bake(scene, 0.05))
+    outside = [0, 3]
+    assert np.array_equal(without_stage(monkeypatch, scene, 0.05)[outside], light[outside])
+    # It is dark enough to be taken for a dark room.
+    assert light[outside].min() > APART * light[[1, 2]].max()
 
 
 def test_mirrored_and_broken_meshes_are_looked_at_the_same():

@@ -14,14 +14,17 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 @dataclass(frozen=True)
 class PatchChecks:
-    """Shares of the power that lights, emissive patches and sky send into the scene, and the errors found.
+    """Shares of the power that lamps and sky bring to patches and that patches emit, and the errors found.
 
-    What is emitted is absorbed, or escapes, or is missing. Absorbed is what patches do not reflect of what arrives at
-    them, and what is sent to backs that are taken as black: inside solids, and of materials with one side. Of patches
-    that are partly inside a solid the open part counts.
+    That power is absorbed, or escapes, or is missing. Absorbed is what patches do not reflect of what arrives at them,
+    and what they send to backs taken as black: of materials with one side, and inside solids. Light that slips into a
+    solid through a crack is therefore no error; a few tenths of a percent do so in furnished rooms. Escaped is what
+    patches send to the sky or past everything, by their own rays. Light of lamps that meets no patch is not counted at
+    all. Of patches that are partly inside a solid the open part counts, as it does in the solution.
 
-    `energy_balance_error` is the part of the emitted power that is neither absorbed nor gone, or that is so without
-    having been emitted: it measures how far the form factors are from reciprocal, weighted by the light they carry.
+    `energy_balance_error` is the part that is neither absorbed nor gone, or that is so without having been emitted: how
+    far the form factors are from reciprocal, weighted by the light they carry, and what the solver has left undone.
+    Backs that only receivers have met (`PatchSolution.follow`) take light that nobody gives away, and count in full.
     `closure_error_max` and `reciprocity_error_max` are those of the form factors between groups of fronts, relative to
     the area of all and to the largest exchange.
     """

@@ -21,13 +21,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..environment import Environment
-from ..visibility.blockable import blockable
 from ..visibility.segments import make_visibility
 from .edge_integrals import EXACT as EDGE_EXACT
 from .edge_integrals import PERPENDICULAR, edge_integrals
 from .faces import Faces
 from .hemisphere import SampledRows
+from .pair_rows import pair_rows
 from .plane_clipping import clip_loops
+from .segment_samples import SegmentSamples
 from .separated_pairs import (
     GREATEST_RATIO,
     center_rule,
@@ -37,10 +38,8 @@ from .separated_pairs import (
     orders_for,
     outline_ratios,
 )
-from .visible_share import visible_shares
 
-#: Entries of the matrix culled at once, and pairs worked on at once: temporaries stay below 100 MB.
-BLOCK_ENTRIES = 2**18
+#: Pairs worked on at once: temporaries stay below 100 MB.
 BLOCK_PAIRS = 2**13
 BLOCK_EDGES = 2**17
 
@@ -116,50 +115,13 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
         If the visibility is unknown.
     """
     faces = Faces(environment)
-    count, areas = len(environment), environment.areas
-    exchange, errors = np.zeros((count, count)), np.zeros(count)
+
+    def unoccluded(rows, columns, wanted):
+        return face_block(faces, rows, columns, accuracy if fast else 0.0, wanted)
+
     sight = None if visibility == "none" else make_visibility(visibility, environment, threads)
-    columns = np.arange(len(faces))
-    step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
-    blocked = blockable_faces(faces) if sight is not None else None
-    for begin in range(0, len(faces), step):
-        rows, rest = columns[begin : begin + step], columns[begin:]
-        values, worst = face_block(faces, rows, rest, accuracy if fast else 0.0, rest > rows[:, None])
-        if sight is not None:
-            here, there = np.nonzero((values > 0) & blocked[rows[0] : rows[-1] + 1, begin:])
-            smaller = np.minimum(faces.areas[rows[here]], faces.areas[rest[there]])
-            factors = values[here, there] / smaller
-            shares, scatter = visible_shares(
-                environment, faces, rows[here], rest[there], factors, sight, accuracy, (seed, begin)
-            )
-            values[here, there] *= shares
-            worst[here, there] += scatter
-        # Each pair was computed once; it counts for both.
-        np.add.at(exchange, (faces.owners[rows][:, None], faces.owners[rest]), values)
-        np.maximum.at(errors, faces.owners[rows], worst.max(axis=1))
-        np.maximum.at(errors, faces.owners[rest], worst.max(axis=0))
-    exchange += exchange.T
-    matrix = np.minimum(exchange / np.where(areas > 0, areas, 1)[:, None], 1)
-    return SampledRows(
-        matrix=matrix,
-        escaped=np.maximum(1 - matrix.sum(axis=1), 0),
-        errors=errors,
-        samples=np.ones(count, dtype=np.int64),
-        rays=0 if sight is None else sight.rays,
-        leaks=np.zeros(count),
-    )
-
-
-def blockable_faces(faces: Faces) -> np.ndarray:
-    """(f, f) bool: pairs of faces that something may stand between."""
-    step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
-    everything = np.arange(len(faces))
-    low, high, tolerance = (np.empty((len(faces), len(faces))) for _ in range(3))
-    for begin in range(0, len(faces), step):
-        rows = everything[begin : begin + step]
-        low[rows], high[rows] = faces.height_ranges(rows, everything)
-        tolerance[rows] = faces.tolerance(rows[:, None], everything)
-    return blockable(low, high, tolerance)
+    samples = None if sight is None else SegmentSamples(environment, faces, sight)
+    return pair_rows(environment, faces, unoccluded, samples, accuracy, seed)
 
 
 def face_block(faces, rows, columns, accuracy, wanted=True):

@@ -24,9 +24,10 @@ from ..environment import Environment
 from ..errors import SettingsError
 from ..visibility.segments import make_visibility
 from .cells import Cells
-from .contour_integral import blockable_faces, exchanges
+from .contour_integral import exchanges
 from .faces import Faces
 from .hemisphere import SampledRows
+from .pair_rows import blockable_faces
 from .plane_clipping import clip_loops
 from .point_rows import PointRows
 from .point_to_polygon import lambert_sum

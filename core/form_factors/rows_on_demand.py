@@ -38,13 +38,15 @@ from ..errors import SettingsError
 from ..visibility.segments import make_visibility
 from .automatic import FAST_ACCURACY, FAST_SHARE, MOST_PATCHES
 from .clipped_quadrature import ClippedQuadrature
-from .contour_integral import BLOCK_ENTRIES, blockable_faces, face_block
+from .contour_integral import face_block
 from .faces import Faces
 from .hemicube import hemicubes
 from .hemisphere import FALLS, RowCaster
 from .matrix import check_accuracy, find_method, form_factors
+from .pair_rows import BLOCK_ENTRIES, blockable_faces
 from .projection import ProjectedRows
 from .quadrature import QuadratureRows
+from .segment_samples import SegmentSamples
 from .single_plane import single_planes
 from .visible_share import visible_shares
 
@@ -214,13 +216,14 @@ def _contour_integral(environment, visibility, accuracy, seed, threads, fast=Fal
         here, there = (np.flatnonzero(side) for side in (faces.owners < len(names), faces.owners >= len(names)))
         values = face_block(faces, here, there, accuracy if fast else 0.0)[0]
         if sight is not None:
+            samples = SegmentSamples(both, faces, sight)
             # Row by row, so that each has random places of its own.
             for row, face in enumerate(here):
                 lit = np.flatnonzero(values[row])
                 pairs = np.full(len(lit), face), there[lit]
                 factors = values[row, lit] / np.minimum(faces.areas[face], faces.areas[there[lit]])
                 key = (seed, int(names[faces.owners[face]]))
-                values[row, lit] *= visible_shares(both, faces, *pairs, factors, sight, accuracy, key)[0]
+                values[row, lit] *= visible_shares(samples, *pairs, factors, accuracy, key)[0]
         rows = np.zeros((len(names), len(usable)))
         np.add.at(rows, (faces.owners[here][:, None], faces.owners[there] - len(names)), values)
         return np.minimum(rows / senders.areas[:, None], 1)

@@ -124,8 +124,11 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
     return pair_rows(environment, faces, unoccluded, samples, accuracy, seed)
 
 
-def face_block(faces, rows, columns, accuracy, wanted=True):
-    """Exchange areas (r, c) of wanted pairs, and bounds of the error of the factor of the smaller one."""
+def face_block(faces, rows, columns, accuracy, wanted=True, near=NEAR):
+    """Exchange areas (r, c) of wanted pairs, and bounds of the error of the factor of the smaller one.
+
+    Up to the ratio `near` pairs that lie apart take the mean rule, a closed form from points.
+    """
     tolerance = faces.tolerance(rows[:, None], columns)
     low, high = faces.height_ranges(rows, columns)
     other_low, other_high = (array.T for array in faces.height_ranges(columns, rows))
@@ -139,11 +142,13 @@ def face_block(faces, rows, columns, accuracy, wanted=True):
     first, second = np.nonzero(seen)
     for begin in range(0, len(first), BLOCK_PAIRS):
         chosen = first[begin : begin + BLOCK_PAIRS], second[begin : begin + BLOCK_PAIRS]
-        values[chosen], errors[chosen] = exchanges(faces, rows[chosen[0]], columns[chosen[1]], accuracy)
+        values[chosen], errors[chosen] = exchanges(faces, rows[chosen[0]], columns[chosen[1]], accuracy, near)
     return values, errors
 
 
-def exchanges(faces: Faces, first: np.ndarray, second: np.ndarray, accuracy: float) -> tuple[np.ndarray, np.ndarray]:
+def exchanges(
+    faces: Faces, first: np.ndarray, second: np.ndarray, accuracy: float, near: float = NEAR
+) -> tuple[np.ndarray, np.ndarray]:
     """Exchange areas ``A_1 F_12`` (m,) of pairs of faces, and bounds (m,) of the error of the smaller one's factor.
 
     With accuracy 0 they are exact.
@@ -152,11 +157,11 @@ def exchanges(faces: Faces, first: np.ndarray, second: np.ndarray, accuracy: flo
     keys = faces.sizes[first] * (faces.sizes.max(initial=0) + 1) + faces.sizes[second]
     for key in np.unique(keys):
         chosen = np.flatnonzero(keys == key)
-        values[chosen], errors[chosen] = _class_exchanges(faces, first[chosen], second[chosen], accuracy)
+        values[chosen], errors[chosen] = _class_exchanges(faces, first[chosen], second[chosen], accuracy, near)
     return values, errors
 
 
-def _class_exchanges(faces, first, second, accuracy):
+def _class_exchanges(faces, first, second, accuracy, near):
     """`exchanges` of pairs whose loops have the same two lengths."""
     shifts = (faces.centers[second] - faces.centers[first])[:, None]
     loops, others = faces.loops(first), faces.loops(second) + shifts
@@ -173,11 +178,13 @@ def _class_exchanges(faces, first, second, accuracy):
     values[far], errors[far] = four_point(faces, first[far], second[far]), bounds[sampled]
     rows = rows[~sampled]
     values[rows], errors[rows] = _outline_exchanges(
-        faces, first[rows], second[rows], loops[rows], others[rows], accuracy
+        faces, first[rows], second[rows], loops[rows], others[rows], accuracy, near
     )
     rows = np.flatnonzero(seen & ~whole)
     parts, other_parts = clip_loops(loops[rows], other_heights[rows]), clip_loops(others[rows], heights[rows])
-    values[rows], errors[rows] = _outline_exchanges(faces, first[rows], second[rows], parts, other_parts, accuracy)
+    values[rows], errors[rows] = _outline_exchanges(
+        faces, first[rows], second[rows], parts, other_parts, accuracy, near
+    )
     return np.maximum(values, 0), errors
 
 
@@ -187,7 +194,7 @@ def _heights(loops, normals, tolerance):
     return np.where(np.abs(heights) > tolerance, heights, 0)
 
 
-def _outline_exchanges(faces, first, second, loops, others, accuracy):
+def _outline_exchanges(faces, first, second, loops, others, accuracy, greatest_ratio):
     """`exchanges` of loops in front of each other, both relative to the centers of `first`.
 
     The loops may be parts of the faces.
@@ -198,7 +205,7 @@ def _outline_exchanges(faces, first, second, loops, others, accuracy):
     there = outline_ratios(loops, shifts, faces.radii[second])
     ratios = np.minimum(here, there)
     values, errors = np.zeros(len(first)), np.full(len(first), SHARE * accuracy)
-    near = ratios > NEAR
+    near = ratios > greatest_ratio
     rows = np.flatnonzero(near)
     values[rows], rounding = contour_sums(loops[rows], others[rows], SHARE * accuracy * smaller[rows])
     errors[rows] += rounding / smaller[rows]

@@ -20,8 +20,12 @@ from .visible_share import Samples, visible_shares
 #: Entries of the matrix worked on at once: temporaries stay below 100 MB.
 BLOCK_ENTRIES = 2**18
 
-#: ``unoccluded(rows, columns, wanted)``: exchange areas (r, c) of wanted pairs, and bounds of the error of the factor of
-#: the smaller face.
+#: Standard errors by which the sum of a row may be off where nothing escapes, and share that it may be off at most.
+SUM_ERRORS = 4.0
+MOST_LEAKS = 0.01
+
+#: ``unoccluded(rows, columns, wanted)``: exchange areas (r, c) of wanted pairs, and bounds of the error of the factor
+#: of the smaller face.
 Unoccluded = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -54,7 +58,7 @@ def pair_rows(
         `errors` are the larger one of bound and standard error; what escapes is the rest of each row.
     """
     count, areas = len(environment), environment.areas
-    exchange, errors = np.zeros((count, count)), np.zeros(count)
+    exchange, errors, squares = np.zeros((count, count)), np.zeros(count), np.zeros(count)
     blocked = blockable_faces(faces) if samples is not None else None
     columns = np.arange(len(faces))
     step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
@@ -68,6 +72,8 @@ def pair_rows(
             shares, scatter = visible_shares(samples, rows[here], rest[there], factors, accuracy, (seed, begin))
             values[here, there] *= shares
             worst[here, there] = worst[here, there] * shares + scatter
+            for ends in (faces.owners[rows[here]], faces.owners[rest[there]]):
+                squares += np.bincount(ends, np.square(scatter * smaller), count)
         # Each pair was computed once; it counts for both.
         np.add.at(exchange, (faces.owners[rows][:, None], faces.owners[rest]), values)
         np.maximum.at(errors, faces.owners[rows], worst.max(axis=1))
@@ -80,7 +86,8 @@ def pair_rows(
         errors=errors,
         samples=np.ones(count, dtype=np.int64),
         rays=0 if samples is None else samples.visibility.rays,
-        leaks=np.zeros(count),
+        # What scatter takes from a row's sum, so that a closed environment is known as one.
+        leaks=np.minimum(SUM_ERRORS * np.sqrt(squares) / np.where(areas > 0, areas, 1), MOST_LEAKS),
     )
 
 

@@ -8,7 +8,7 @@ from tests.reference_cases import allowed, form_factor_cases, ids, in_order, sur
 
 CASES = form_factor_cases()
 LEVELS = {"fine": 1e-3, "coarse": DEFAULT_ACCURACY}
-METHODS = ["contour_integral"]
+METHODS = ["contour_integral", "point_to_polygon"]
 
 #: Contacts, shadows inside of a patch, small and large, near and far: what each of the methods had been worst at.
 QUICK = [

@@ -19,9 +19,10 @@ import numpy as np
 
 from ..environment import Environment
 from .clipped_quadrature import ClippedQuadrature
-from .contour_integral import blockable_faces, contour_rows
+from .contour_integral import contour_rows
 from .faces import Faces
 from .hemisphere import SampledRows, hemisphere_rows
+from .pair_rows import blockable_faces
 
 #: Accuracy from which on the contour integral samples pairs that are far apart, with bounded error. Exact factors cost
 #: three times as much.

@@ -53,16 +53,34 @@ class PatchSampler:
 
         Patches must have triangles.
         """
+        triangles, _, inner = self.triangles(patches, square)
+        root = np.sqrt(inner[:, :, 0])
+        second = root * inner[:, :, 1]
+        first = root - second
+        a, b, c = (triangles[:, :, i] for i in range(3))
+        return a + first[..., None] * (b - a) + second[..., None] * (c - a)
+
+    def triangles(self, patches: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Triangles (p, s, 3, 3) chosen by their areas, and points of the unit square to choose places on them with.
+
+        Parameters
+        ----------
+        patches : (p,) int
+        square : (p, s, 2) float
+
+        Returns
+        -------
+        triangles : (p, s, 3, 3) float64
+        shares : (p, s) float64
+            Of the patch's area.
+        square : (p, s, 2) float64
+        """
         key = patches[:, None] + square[:, :, 0]
         low = self.starts[patches][:, None]
         rows = np.clip(np.searchsorted(self.ends, key, side="right"), low, low + self.counts[patches][:, None] - 1)
         # The share of the first number that chose the triangle is stretched to choose the place in it.
         inner = 1 - (self.ends[rows] - key) / np.maximum(self.shares[rows], 1e-300)
-        root = np.sqrt(inner.clip(0, 1))
-        second = root * square[:, :, 1]
-        first = root - second
-        a, b, c = (self.corners[rows, i] for i in range(3))
-        return a + first[..., None] * (b - a) + second[..., None] * (c - a)
+        return self.corners[rows], self.shares[rows], np.stack((inner.clip(0, 1), square[:, :, 1]), axis=2)
 
 
 def frames(normals: np.ndarray) -> np.ndarray:

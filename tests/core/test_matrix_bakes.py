@@ -109,7 +109,9 @@ def test_too_many_polygons_are_refused_with_the_numbers_and_before_the_slow_part
 
     monkeypatch.setattr(matrix_solution, "form_factors", never)
     scene = inward_sphere(40)
-    numbers = rf"hemicube between [\d,]+ polygons.*{MOST_POLYGONS:,}.*--method auto"
+    # A cell of 40 by 40 on each of 6 sides, in two triangles.
+    count = 2 * 6 * 40**2
+    numbers = rf"hemicube between {count:,} polygons .*{8 * count**2 / 1e6:,.0f} MB.*{MOST_POLYGONS:,}.*--method auto"
     with pytest.raises(SceneTooLargeError, match=numbers):
         bake(scene, method="hemicube")
     with pytest.raises(SceneTooLargeError, match=r"solver jacobi .*--solver auto"):

@@ -68,8 +68,8 @@ def check_size(patches: Patches, settings: BakeSettings) -> None:
     if has_name(settings) and polygons > MOST_POLYGONS:
         raise SceneTooLargeError(
             f"Form factors by {chosen_names(settings)} between {polygons:,} polygons would be {polygons**2:,}, "
-            f"{_megabytes(polygons)}, and {MOST_POLYGONS:,} polygons, {_megabytes(MOST_POLYGONS)}, are the limit: choose "
-            f"{_remedy(settings)}, or bake fewer and plainer objects"
+            f"{_megabytes(polygons)}, and {MOST_POLYGONS:,} polygons, {_megabytes(MOST_POLYGONS)}, are the limit: "
+            f"choose {_remedy(settings)}, or bake fewer and plainer objects"
         )
 
 

@@ -25,14 +25,14 @@ from ..errors import SettingsError
 from ..visibility.segments import Visibility, make_visibility
 from .cells import Cells
 from .contour_integral import face_block
-from .faces import Faces
+from .faces import Faces, smaller_first
 from .hemisphere import SampledRows
 from .pair_rows import pair_rows
 from .plane_clipping import clip_loops
 from .point_rows import PointRows
 from .point_to_polygon import lambert_sum
 from .receivers import FaceCells, face_cells
-from .sampling import PatchSampler, kronecker_points
+from .sampling import PatchSampler, kronecker_points, kronecker_steps
 
 #: Kinds of detection, and the visibility each uses.
 DETECTIONS = {"item_buffer": "zbuffer", "rays": "embree"}
@@ -54,9 +54,9 @@ POINTS_AND_LEVELS = (
     (32768, 512, 3, 3),
 )
 
-#: Steps by which the places of tests on successive points and quarters are turned: the irrational numbers of
-#: `kronecker_points` for two dimensions and the first of those for three, which spread them evenly.
-TURNS = np.array([[0.7548776662466927, 0.5698402909980532], [0.8191725133961645, 0.6710436067037893]])
+#: Steps by which the places of tests are turned from point to point, and from quarter to quarter: of two sequences, so
+#: that points and quarters together do not come back to the same places.
+POINT_TURN, QUARTER_TURN = kronecker_steps(2), kronecker_steps(3)[:2]
 
 #: Levels more for sources that are near or bright.
 MORE_LEVELS = 1
@@ -155,8 +155,7 @@ class PieceSamples:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Weights of what is visible and of all, (m,) each: see `Samples`."""
         faces = self.faces
-        swap = faces.areas[first] > faces.areas[second]
-        first, second = np.where(swap, second, first), np.where(swap, first, second)
+        first, second = smaller_first(faces.areas, first, second)
         number, least, most = next(row[1:] for row in POINTS_AND_LEVELS if count <= row[0])
         # Reciprocity carries the factor over, so the bright source may be either of the two.
         apart = np.linalg.norm(faces.centers[first] - faces.centers[second], axis=1)
@@ -170,7 +169,7 @@ class PieceSamples:
             points = self.sampler(faces.owners[first[part]], square).reshape(-1, 3)
             pair = np.repeat(np.arange(len(square)), number)
             which, cells = self.cells.of(second[part][pair])
-            turns = (shifts[part, 2:][pair] + np.outer(np.arange(len(points)) % number, TURNS[0])) % 1
+            turns = (shifts[part, 2:][pair] + np.outer(np.arange(len(points)) % number, POINT_TURN)) % 1
             work = _Pieces(which, cells, turns[which])
             sums = self._cut(work, points, faces.normals[first[part]][pair], least, last[part][pair])
             for total, found in zip((seen, whole), sums, strict=True):
@@ -214,7 +213,7 @@ class _Pieces:
 
     def quartered(self, rows):
         """Some of the pieces, each in four."""
-        turns = np.tile(np.outer(np.arange(4), TURNS[1]), (len(rows), 1))
+        turns = np.tile(np.outer(np.arange(4), QUARTER_TURN), (len(rows), 1))
         return _Pieces(
             np.repeat(self.which[rows], 4),
             self.cells[rows].divided(2),
@@ -236,7 +235,7 @@ def _seen_ends(points, pieces, sight):
 def _seen_quarters(points, pieces, sight, places):
     """Share (w,) of the quarters of each piece that its point sees, each at a random place (w, 2) from 0 to 1."""
     quarters = pieces.divided(2)
-    turns = np.tile(np.outer(np.arange(4), TURNS[1]), (len(pieces), 1))
+    turns = np.tile(np.outer(np.arange(4), QUARTER_TURN), (len(pieces), 1))
     targets = quarters.points((np.repeat(places, 4, axis=0) + turns) % 1)
     return sight.visible(np.repeat(points, 4, axis=0), targets).reshape(-1, 4).mean(axis=1)
 

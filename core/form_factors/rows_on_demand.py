@@ -38,7 +38,7 @@ from ..visibility.segments import make_visibility
 from .automatic import FAST_ACCURACY, FAST_SHARE, MOST_PATCHES
 from .clipped_quadrature import ClippedQuadrature
 from .contour_integral import NEAR, face_block
-from .faces import Faces
+from .faces import Faces, smaller_first
 from .hemicube import hemicubes
 from .hemisphere import FALLS, RowCaster
 from .matrix import check_accuracy, find_method, form_factors
@@ -245,8 +245,7 @@ def _clipped(environment, accuracy):
         areas = environment.areas
         # Points go to the smaller patch, ties to the lower number, as in the matrix; reciprocity carries over.
         first, second = np.minimum(rows, columns), np.maximum(rows, columns)
-        swap = areas[first] > areas[second]
-        receivers, sources = np.where(swap, second, first), np.where(swap, first, second)
+        receivers, sources = smaller_first(areas, first, second)
         asked = rows != columns
         factors = np.zeros(len(rows))
         factors[asked] = quadrature.pairs(receivers[asked], sources[asked], np.full(int(asked.sum()), accuracy))[0]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..environment import Environment
 from ..visibility.segments import Visibility
-from .faces import Faces
+from .faces import Faces, smaller_first
 from .sampling import PatchSampler, kronecker_points
 from .spherical_triangles import points_by_solid_angle
 
@@ -42,8 +42,7 @@ class SegmentSamples:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Weights of what is visible and of all, (m,) each: see `Samples`."""
         faces = self.faces
-        swap = faces.areas[first] > faces.areas[second]
-        first, second = np.where(swap, second, first), np.where(swap, first, second)
+        first, second = smaller_first(faces.areas, first, second)
         square = (kronecker_points(count, 4) + shifts[:, None]) % 1
         apart = np.linalg.norm(faces.centers[first] - faces.centers[second], axis=1)
         near = apart < NEAR * (faces.radii[first] + faces.radii[second])

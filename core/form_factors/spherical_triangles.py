@@ -10,16 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from .sampling import points_in_triangles
+
 #: Solid angle below which points are spread over the area: the formula has lost half of its digits there.
 LEAST_ANGLE = 1e-7
-
-
-def points_by_area(triangles: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """(n, 3) points spread evenly over n triangles (n, 3, 3), from (n, 2) numbers between 0 and 1."""
-    root = np.sqrt(square[:, :1])
-    second = root * square[:, 1:]
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return a + (root - second) * (b - a) + second * (c - a)
 
 
 def solid_angles(origins: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -57,7 +51,7 @@ def points_by_solid_angle(
     ----------
     .. [1] Arvo, "Stratified Sampling of Spherical Triangles", SIGGRAPH 1995.
     """
-    points = points_by_area(triangles, square)
+    points = points_in_triangles(triangles, square)
     angles = solid_angles(origins, triangles)
     rows = np.flatnonzero(angles > LEAST_ANGLE)
     a, b, c = _directions(origins[rows], triangles[rows])

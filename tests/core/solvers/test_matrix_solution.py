@@ -1,18 +1,10 @@
 """Patches solved by a full matrix: what lies under a block or on both sides of a wall, against light known exactly."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from radiosity.core import bake as module
-from radiosity.core.bake_plan import plan_for
-from radiosity.core.cleaning import clean
-from radiosity.core.matrix_plan import matrix_plan
-from radiosity.core.progress import finish
-from radiosity.core.settings import BakeSettings
-from radiosity.core.visibility.embree import Frame, RayPool, is_available
+from radiosity.core.visibility.embree import is_available
 
-from tests.bakes import Thing, scene_of
+from tests.bakes import Thing, scene_of, solved_patches
 from tests.scenes import box, grid
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="rays need embreex")
@@ -22,20 +14,6 @@ FOOT, CORNER = 0.4, 0.31
 
 #: Accuracy asked for; sums over many patches come closer.
 ACCURACY = 0.05
-
-
-def solved(scene, method="hemisphere"):
-    """The solution by a method, and the frame that it lies in."""
-    cleaned = clean(scene.surfaces)
-    frame = Frame.around(cleaned.surfaces.vertices)
-    surfaces = replace(cleaned.surfaces, vertices=frame.to_unit(cleaned.surfaces.vertices))
-    settings = BakeSettings(accuracy=ACCURACY, method=method)
-    plan = matrix_plan(plan_for(ACCURACY), ACCURACY)
-    with RayPool(1) as pool:
-        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
-        solution = module._patch_solution(model, scene, plan, settings, pool)
-        finish(solution.solve())
-    return solution, frame
 
 
 def floor_fronts(solution):
@@ -69,18 +47,20 @@ def room_over(floor_thing, *things):
 @pytest.mark.parametrize("bottom", [False, True])
 @pytest.mark.parametrize("two_sided", [False, True])
 def test_area_that_takes_part_is_what_does_not_lie_under_a_block(two_sided, bottom):
-    solution, frame = solved(
-        room_over(Thing(*floor()), Thing(*block(bottom), reflectance=0.5, two_sided=two_sided, receives=False))
+    solution, model = solved_patches(
+        room_over(Thing(*floor()), Thing(*block(bottom), reflectance=0.5, two_sided=two_sided, receives=False)),
+        ACCURACY,
+        method="hemisphere",
     )
     rows = floor_fronts(solution)
     buried = solution.buried[rows]
     free = solution.areas[np.searchsorted(np.flatnonzero(solution.exchanging), rows[~buried])]
     # A patch's share is told by some hundred rays: 3 % where half of it is hidden, and some twenty even that out.
-    assert free.sum() * frame.size**2 == pytest.approx(1 - FOOT**2, rel=0.01)
+    assert free.sum() * model.frame.size**2 == pytest.approx(1 - FOOT**2, rel=0.01)
 
 
 def test_patches_half_or_all_under_a_block_show_the_light_beside_it():
-    solution, _ = solved(room_over(Thing(*floor()), shining(*block(False))))
+    solution, _ = solved_patches(room_over(Thing(*floor()), shining(*block(False))), ACCURACY, method="hemisphere")
     rows = floor_fronts(solution)
     assert solution.buried[rows].any()
     # What stands around the floor shines at 1 wherever it looks: the floor reflects half of it.
@@ -97,7 +77,7 @@ def test_patches_on_which_a_wall_stands_show_the_light_of_one_side():
         shining(wall[0], wall[1][:, ::-1]),
         shining(dark, faces[(sides != 4) & (sides != 0)], 0.0),
     )
-    solution, _ = solved(scene)
+    solution, _ = solved_patches(scene, ACCURACY, method="hemisphere")
     rows = floor_fronts(solution)
     assert solution.crossed[rows].any()
     seen = solution.radiosity[rows]

@@ -41,7 +41,7 @@ def draw_slopes(path: Path, lines: list[dict]) -> None:
         return
     from matplotlib import pyplot
 
-    figure, panel = pyplot.subplots(figsize=(7, 5), layout="constrained")
+    figure, panel = pyplot.subplots(figsize=(9.5, 5), layout="constrained")
     drawn = []
     for technique in dict.fromkeys(line["technique"] for line in lines):
         runs = [line for line in lines if line["technique"] == technique]
@@ -57,7 +57,8 @@ def draw_slopes(path: Path, lines: list[dict]) -> None:
         drawn.append(runs[0]["method"])
     panel.set(xscale="log", yscale="log", xlabel="resolution", ylabel="RMS error of a factor")
     panel.grid(color="0.9")
-    panel.legend(fontsize=7.5, frameon=False, title="power by which the error falls", title_fontsize=8)
+    title = "power by which the error falls"
+    panel.legend(fontsize=7.5, frameon=False, title=title, title_fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
     figure.savefig(path, dpi=100)
     pyplot.close(figure)
 

@@ -1,4 +1,5 @@
-"""A picture for each scene of the comparison of form factors: largest error against CPU time, both in powers of ten.
+"""A picture for each scene of the comparison of form factors: largest error against CPU time, both in powers of ten;
+and one of error against resolution, technique by technique.
 
 Left all methods with all visibilities, each a line from coarse to fine; right the options of the methods. Color tells
 the method, the mark the visibility. The gray stairs are the least error that anything reaches within a time. Where
@@ -34,12 +35,47 @@ DASHES = ("--", ":", "-.")
 LEAST_ERROR = 1e-16
 
 
-def draw(path: Path, lines: list[dict]) -> None:
-    """Draw the runs of one scene, or say how to get what draws them."""
+def draw_slopes(path: Path, lines: list[dict]) -> None:
+    """Draw the error of each technique against its resolution, with the slope, or say how to get what draws it."""
+    if not can_draw(path) or not lines:
+        return
+    from matplotlib import pyplot
+
+    figure, panel = pyplot.subplots(figsize=(9.5, 5), layout="constrained")
+    drawn = []
+    for technique in dict.fromkeys(line["technique"] for line in lines):
+        runs = [line for line in lines if line["technique"] == technique]
+        panel.plot(
+            [run["resolution"] for run in runs],
+            [run["rms_error"] for run in runs],
+            color=COLORS[runs[0]["method"]],
+            marker="o",
+            markersize=5,
+            linestyle=("-", *DASHES)[drawn.count(runs[0]["method"])],
+            label=f"{technique}: {runs[0]['slope']:.2f} by {runs[0]['unit']}",
+        )
+        drawn.append(runs[0]["method"])
+    panel.set(xscale="log", yscale="log", xlabel="resolution", ylabel="RMS error of a factor")
+    panel.grid(color="0.9")
+    title = "power by which the error falls"
+    panel.legend(fontsize=7.5, frameon=False, title=title, title_fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
+    figure.savefig(path, dpi=100)
+    pyplot.close(figure)
+
+
+def can_draw(path: Path) -> bool:
+    """Whether there is what draws a picture; says how to get it where not."""
     if matplotlib is None:
         print(f"{path.name} is not drawn: python -m pip install matplotlib")
-        return
+        return False
     matplotlib.use("Agg")
+    return True
+
+
+def draw(path: Path, lines: list[dict]) -> None:
+    """Draw the runs of one scene, or say how to get what draws them."""
+    if not can_draw(path):
+        return
     from matplotlib import pyplot
 
     hidden = ("none",) if any(line["occluded"] for line in lines) else ()

@@ -90,6 +90,41 @@ def rectangle(corners: Iterable, divisions: int = 1) -> list[np.ndarray]:
     ]
 
 
+def divided(polygons: Iterable[np.ndarray], divisions: int | float, triangles: bool = False) -> list[np.ndarray]:
+    """Cells of triangles and of convex quadrilaterals, in their order.
+
+    Parameters
+    ----------
+    polygons : iterable of (3, 3) or (4, 3) float
+    divisions : int or float
+        Cells along each side; as a float the length of a cell that is not to be exceeded.
+    triangles : bool
+        Whether cells with four corners are cut into two triangles.
+    """
+    return [cell for polygon in polygons for cell in _cells(np.asarray(polygon, dtype=float), divisions, triangles)]
+
+
+def _cells(polygon, divisions, triangles):
+    along, across = polygon[1] - polygon[0], polygon[-1] - polygon[0]
+    # Of a convex quadrilateral cells are images of a square's; of a triangle those of half a square.
+    twist = polygon[2] - polygon[1] - across if len(polygon) == 4 else np.zeros(3)
+    if isinstance(divisions, int):
+        columns = rows = divisions
+    else:
+        columns, rows = (max(1, int(np.ceil(np.linalg.norm(side) / divisions))) for side in (along, across))
+    if len(polygon) == 3:
+        columns = rows = max(columns, rows)
+    cells = []
+    for i, j in itertools.product(range(columns), range(rows)):
+        corners = np.array([(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]) / (columns, rows)
+        if len(polygon) == 3:
+            loops = (corners[[0, 1, 3]], corners[[1, 2, 3]])[: max(rows - i - j, 0)]
+        else:
+            loops = (corners[:3], corners[[0, 2, 3]]) if triangles else (corners,)
+        cells += [polygon[0] + loop @ np.array([along, across]) + loop.prod(axis=1)[:, None] * twist for loop in loops]
+    return cells
+
+
 def box(low, high, inward: bool = False, divisions: int = 1, without: tuple[int, ...] = ()) -> list[np.ndarray]:
     """Sides of a box, seen from outside or inside; `without` names sides of -x, +x, -y, +y, -z, +z as 0 to 5."""
     ends = np.array([low, high], dtype=float)

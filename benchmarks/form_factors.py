@@ -12,6 +12,8 @@ writes to the folder OUTPUT:
     compared as well. Pairs that are refused, and runs left out, say why in the column ``status``.
 ``best.csv``
     For each scene and error the fastest run that reached it.
+``slopes.csv``, ``slopes.png``
+    Error of each sampling technique against its resolution, and how fast it falls (`form_factor_slopes`).
 ``SCENE.png``
     Error against time, if matplotlib is there: ``python -m pip install matplotlib``.
 
@@ -41,7 +43,7 @@ from radiosity import core
 from radiosity.core.errors import RadiosityError, SettingsError
 from radiosity.core.form_factors.matrix import METHODS, find_method
 
-from . import form_factor_plots
+from . import form_factor_plots, form_factor_slopes
 from .form_factor_scenes import SCENES, Scene, scene_from_file
 
 ACCURACIES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
@@ -321,6 +323,11 @@ def main() -> None:
         makers.append(lambda: scene_from_file(options.scene_file, options.patches))
     series = all_series(methods, QUICK_ACCURACIES if options.quick else ACCURACIES)
     options.output.mkdir(parents=True, exist_ok=True)
+    slopes = form_factor_slopes.measure(methods)
+    write_csv(options.output / "slopes.csv", form_factor_slopes.COLUMNS, slopes)
+    form_factor_plots.draw_slopes(options.output / "slopes.png", slopes)
+    for line in {line["technique"]: line for line in slopes}.values():
+        print(f"{line['technique']:30} error falls by {line['unit']} to the power {line['slope']:.2f}")
     lines = refusals(methods)
     for make in makers:
         begin = time.perf_counter()

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from radiosity import core
+from radiosity.core.form_factors.matrix import METHODS
 
 from benchmarks.form_factor_scenes import SCENES, box, read_obj
+from benchmarks.form_factor_slopes import measure
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Inside Blender the tests put the package together by themselves, which a process of its own cannot see.
@@ -59,3 +61,22 @@ def test_command_writes_every_run_and_every_refusal_with_its_reason(tmp_path):
     assert [line["status"] for line in runs] == ["done"] * 4
     assert all(float(line["max_error"]) < 3 * float(line["accuracy"]) for line in runs)
     assert all(float(line["seconds"]) > 0 and float(line["peak_MB"]) > 0 for line in runs)
+    with (tmp_path / "slopes.csv").open(encoding="utf-8") as file:
+        slopes = list(csv.DictReader(file))
+    assert {line["technique"] for line in slopes} == {"hemisphere, low discrepancy", "hemisphere, random"}
+
+
+def test_errors_of_techniques_fall_as_theory_says():
+    lines = measure(list(METHODS))
+    slopes = {line["technique"]: line["slope"] for line in lines}
+    # 40 errors know their RMS to a tenth, so four of them over a factor of 8 a slope to 0.06, over 64 to 0.03; three
+    # times that. Errors of smooth rules are no noise, and hold within a twentieth.
+    assert slopes["hemicube, along edges"] == pytest.approx(-1, abs=0.2)
+    assert slopes["hemisphere, random"] == pytest.approx(-0.5, abs=0.1)
+    assert slopes["hemisphere, low discrepancy"] < -0.58
+    # A line of pixels errs by the root of its length where a turn makes them independent: -3/2. It is no less steep.
+    assert slopes["hemicube, turned"] < -1.3
+    assert slopes["single_plane, turned"] < -1.3
+    assert slopes["disk, uniform"] == pytest.approx(-1, abs=0.05)
+    assert slopes["point_to_point, vertices"] == pytest.approx(-2, abs=0.05)
+    assert all(line["rms_error"] > 0 for line in lines)

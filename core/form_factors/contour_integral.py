@@ -8,8 +8,9 @@ that are near or touch, and where all digits count.
 Two of its limits are met by other exact forms. The sum over edges loses digits as the square of distance over size, so
 pairs that are small for their distance, or slivers, integrate the closed form of a point and a polygon over one of
 them by Gauss's rule, of an order that follows from the distance (`separated_pairs`). And for an environment of n
-patches, `fast` lets pairs far apart take one or four samples instead, with an error that is bounded in advance by what
-accuracy was asked for; then most pairs cost some ten nanoseconds, and only neighbors the full formula.
+patches, `fast` lets pairs far apart take their centers and second moments, or four points, instead, with an error that
+is bounded in advance by what accuracy was asked for; then most pairs cost some ten nanoseconds, and only neighbors,
+those in contact among them, the full formula.
 
 It knows no occlusion itself: any visibility by segments may be joined to it (`visible_share`).
 
@@ -31,10 +32,10 @@ from .plane_clipping import clip_loops
 from .segment_samples import SegmentSamples
 from .separated_pairs import (
     GREATEST_RATIO,
-    center_rule,
     four_point,
     four_point_errors,
     mean_rule,
+    moment_rule,
     orders_for,
     outline_ratios,
 )
@@ -102,7 +103,7 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
     threads : int
         Threads of the ray engine, where it is used.
     fast : bool
-        Whether pairs far apart may be computed from one or four points.
+        Whether pairs far apart may be computed from their moments or four points.
 
     Returns
     -------
@@ -135,7 +136,7 @@ def face_block(faces, rows, columns, accuracy, wanted=True, near=NEAR):
     seen = (high > tolerance) & (other_high > tolerance) & wanted
     values, errors = np.zeros(seen.shape), np.zeros(seen.shape)
     if accuracy > 0:
-        sampled, bounds = center_rule(faces, rows, columns)
+        sampled, bounds = moment_rule(faces, rows, columns)
         done = seen & (low >= 0) & (other_low >= 0) & (bounds <= accuracy)
         values[done], errors[done] = sampled[done], bounds[done]
         seen &= ~done

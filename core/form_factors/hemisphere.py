@@ -32,8 +32,12 @@ from .sampling import PatchSampler, frames, hemisphere_directions, kronecker_poi
 #: Independent repetitions of each row: enough for an error estimate that is itself good to a quarter.
 REPETITIONS = 8
 
-#: Rays per patch and repetition in the first round, and at most.
-FIRST_RAYS = 512
+#: Rays per patch and repetition in the first round, at most and at least. A coarser accuracy than the one at which the
+#: most are wanted takes fewer, by the fall of the error: 948 patches of a furnished room err by 0.007 with the most.
+FIRST_RAYS, FIRST_ACCURACY = 512, 1e-2
+FEWEST_RAYS = 32
+
+#: The most rays per patch and repetition.
 MOST_RAYS = 2**21
 
 #: Rays in flight: about 60 MB of origins, directions and hits.
@@ -209,7 +213,7 @@ class RowCaster:
         A row does not depend on which others are asked for.
         """
         matrix, escaped, errors = np.zeros((len(rows), self.count)), np.zeros(len(rows)), np.zeros(len(rows))
-        samples, rays = np.zeros(len(rows), dtype=np.int64), np.full(len(rows), FIRST_RAYS)
+        samples, rays = np.zeros(len(rows), dtype=np.int64), np.full(len(rows), self._first_rays(accuracy))
         pending, rounds, cast = np.flatnonzero(self.areas[rows] > 0), 0, 0
         while len(pending):
             cast += int(rays[pending].sum()) * REPETITIONS
@@ -223,6 +227,11 @@ class RowCaster:
             rays[pending] = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 2))), MOST_RAYS).astype(np.int64)
             rounds += 1
         return matrix, escaped, errors, samples, cast
+
+    def _first_rays(self, accuracy):
+        """Rays per patch and repetition of the first round, a power of two."""
+        wanted = FIRST_RAYS * min(FIRST_ACCURACY / accuracy, 1) ** (1 / FALLS[self.sampling])
+        return max(2 ** int(np.ceil(np.log2(wanted))), min(FEWEST_RAYS, FIRST_RAYS))
 
     def rows(self, rows: np.ndarray, size: int, seed: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Mean shares (r, n + 1) over all repetitions, last column escaped, and the standard error of the worst."""

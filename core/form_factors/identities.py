@@ -22,6 +22,9 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Rows compared at once: temporaries stay in the cache up to some thousand patches.
+BLOCK_ROWS = 16
+
 #: Row-sum error at which closing stops: some hundred roundings, far below any method's own error.
 CLOSED = 1e-13
 
@@ -46,9 +49,14 @@ UNCHANGED = 1 - 1e-3
 
 def reciprocity_error(matrix: np.ndarray, areas: np.ndarray) -> float:
     """Largest ``|A_i F_ij - A_j F_ji|`` over the smaller area of the pair: the error as a form factor."""
-    exchange = areas[:, None] * matrix
-    smaller = np.minimum(areas[:, None], areas)
-    return float((np.abs(exchange - exchange.T) / np.where(smaller > 0, smaller, np.inf)).max(initial=0))
+    worst = 0.0
+    for begin in range(0, len(areas), BLOCK_ROWS):
+        # Pairs count once: those with rows before the block were compared there.
+        rows, rest = slice(begin, begin + BLOCK_ROWS), slice(begin, None)
+        differences = areas[rows, None] * matrix[rows, rest] - areas[rest] * matrix[rest, rows].T
+        smaller = np.minimum(areas[rows, None], areas[rest])
+        worst = max(worst, (np.abs(differences) / np.where(smaller > 0, smaller, np.inf)).max(initial=0))
+    return float(worst)
 
 
 def closure_error(matrix: np.ndarray, escaped: np.ndarray | float = 0.0, areas: np.ndarray | None = None) -> float:
@@ -116,7 +124,11 @@ def nearest_exchange(exchange: np.ndarray, variances: np.ndarray, areas: np.ndar
             trial = multipliers + step * 0.5**halving
             if not closed:
                 trial = np.minimum(trial, 0)
-            candidate = np.maximum(exchange + variances * (trial[:, None] + trial), 0)
+            # In place: in large scenes fresh pages for each of the terms take longer than the sum itself.
+            candidate = trial[:, None] + trial
+            candidate *= variances
+            candidate += exchange
+            np.maximum(candidate, 0, out=candidate)
             rest, moved = areas - candidate.sum(axis=1), trial - multipliers
             # The dual is concave: a step at whose end the slope still points ahead has climbed. A whole step among the
             # same zeros ends where the slope is 0.

@@ -1,12 +1,14 @@
 """Pairs of faces that lie apart, wholly in front of each other: rules whose error falls with distance, as foreseen.
 
-Three rules, by what they cost. The center rule is the point-to-point formula between centers of area; the four-point
-rule puts four equal weights on each face, at one standard deviation along its principal axes (Gauss's 2 x 2 rule, where
-the face is a rectangle), so that all second moments are right; and the mean rule integrates the closed form of a point
-and a polygon over one face, by Gauss's rule of the order that the distance asks for. None loses digits with distance,
-which the contour integral does.
+Three rules, by what they cost. The moment rule is the point-to-point formula between centers of area, with the share
+that the second moments of both faces change of it, which makes its error cubic in size over distance where that of the
+plain formula is quadratic; the four-point rule puts four equal weights on each face, at one standard deviation along
+its principal axes (Gauss's 2 x 2 rule, where the face is a rectangle), so that all second moments are right; and the
+mean rule integrates the closed form of a point and a polygon over one face, by Gauss's rule of the order that the
+distance asks for. The last two lose no digits with distance, which the contour integral does.
 
-The first two serve whole environments at a known error: an absolute bound on the factor of either face.
+The first two serve whole environments at a known error: an absolute bound on the factor of either face. Cost of a pair:
+20 to 30 ns by the moment rule, 0.3 us by four points, 1 to 3 us by means.
 """
 
 from __future__ import annotations
@@ -17,11 +19,12 @@ from .edge_integrals import gauss_rule
 from .faces import Faces
 from .point_to_polygon import lambert_sum
 
-#: Bound of the center rule's relative error, in squares of ratio, and of the four-point rule's, in cubes: ratio is the
-#: sum of both radii over the distance of the centers. Twice the largest that 4e5 random pairs of triangles,
-#: quadrilaterals and hexagons showed against exact values.
-CENTER_BOUND = 1.0
-FOUR_POINT_BOUND = 0.25
+#: Bound of the moment rule's relative error, in cubes and fourth powers of ratio, and of the four-point rule's, in
+#: cubes: ratio is the sum of both radii over the distance of the centers. Twice the largest that 4e5 random pairs of
+#: triangles, quadrilaterals and hexagons showed against exact values, and more than a search for the worst among
+#: deformed ones found, by 60 climbs of 500 steps.
+MOMENT_BOUNDS = (0.3, 0.5)
+FOUR_POINT_BOUND = 0.4
 
 #: Radius over distance to the other's outline up to which the mean rule is used.
 GREATEST_RATIO = 0.75
@@ -29,28 +32,64 @@ GREATEST_RATIO = 0.75
 #: Orders of the mean rule.
 ORDERS = (2, 3, 4, 6, 8, 12, 16, 24)
 
+#: Pairs of a tile of the moment rule: a dozen temporaries stay in the second-level cache, and no page is asked of the
+#: system anew. With 2^15 it may take twice as long.
+TILE_ENTRIES = 3 * 2**13
+
 #: Points times edges handled at once: temporaries stay below 64 MB.
 BLOCK_ANGLES = 2**17
 
 
-def center_rule(faces: Faces, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Exchange areas (r, c) by the centers, and bounds of their error as factors of the smaller face."""
+def moment_rule(faces: Faces, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Exchange areas (r, c) by centers and second moments, and bounds of their error as factors of the smaller face.
+
+    With unit normals a and b, the vector r between the centers, and the moments ``M = M_1 + M_2`` of both faces about
+    them, the mean of ``K = -(a . r) (b . r) / pi r^4`` over both is ``K + M : grad grad K / 2`` up to third moments;
+    ``a M_1`` and ``b M_2`` are 0. All of it is made of heights above planes, which are products of matrices.
+    """
+    shape = len(rows), len(columns)
+    values, bounds = np.empty(shape), np.empty(shape)
+    step = max(1, TILE_ENTRIES // max(len(columns), 1))
+    for begin in range(0, len(rows), step):
+        tile = slice(begin, begin + step)
+        values[tile], bounds[tile] = _moment_tile(faces, rows[tile], columns)
+    return values, bounds
+
+
+def _moment_tile(faces, rows, columns):
+    """`moment_rule` without tiles."""
     centers, others = faces.centers[rows], faces.centers[columns]
+    normals, other_normals = faces.normals[rows], faces.normals[columns]
     squares = np.zeros((len(rows), len(columns)))
-    here, there = np.zeros_like(squares), np.zeros_like(squares)
     for axis in range(3):
         apart = others[:, axis] - centers[:, axis][:, None]
         squares += apart * apart
-        here += faces.normals[rows, axis][:, None] * apart
-        there -= faces.normals[columns, axis] * apart
-    radii = faces.radii[rows][:, None] + faces.radii[columns]
     squares[squares == 0] = np.inf
-    larger = np.maximum(faces.areas[rows][:, None], faces.areas[columns])
-    bounds = larger * radii**2 * (CENTER_BOUND / np.pi) / squares**2
+    inverse = 1 / squares
+    # Differences of products, where products of differences would take ten times as long: rounded to the scene's size.
+    here = normals @ others.T - np.einsum("ri,ri->r", normals, centers)[:, None]
+    there = centers @ other_normals.T - np.einsum("ci,ci->c", other_normals, others)
+    stretch, turn = np.zeros_like(squares), np.zeros_like(squares)
+    for k in range(2):
+        axes, other_axes = faces.axes[rows, k], faces.axes[columns, k]
+        along = axes @ others.T - np.einsum("ri,ri->r", axes, centers)[:, None]
+        stretch += along * along
+        turn += along * (axes @ other_normals.T) * here
+        along = centers @ other_axes.T - np.einsum("ci,ci->c", other_axes, others)
+        stretch += along * along
+        turn += along * (normals @ other_axes.T) * there
+    moments = np.einsum("fki,fki->f", faces.axes, faces.axes)
+    spread = moments[rows][:, None] + moments[columns]
+    product = here * there
+    product += (4 * turn + product * (12 * stretch * inverse - 2 * spread)) * inverse
+    product *= inverse * inverse
+    product *= faces.areas[rows][:, None] * faces.areas[columns] / np.pi
+    ratios = (faces.radii[rows][:, None] + faces.radii[columns]) * np.sqrt(inverse)
+    bounds = np.maximum(faces.areas[rows][:, None], faces.areas[columns]) * inverse / np.pi
+    bounds *= (MOMENT_BOUNDS[0] + MOMENT_BOUNDS[1] * ratios) * (ratios * ratios * ratios)
     # The bound is one of the far field's expansion: it means nothing where the ratio is not small.
-    bounds[radii * radii > squares / 4] = np.inf
-    products = faces.areas[rows][:, None] * faces.areas[columns]
-    return products * here * there / (np.pi * squares * squares), bounds
+    bounds[ratios > 0.5] = np.inf
+    return np.maximum(product, 0), bounds
 
 
 def four_point_errors(faces: Faces, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from radiosity import core
-from radiosity.core.form_factors.contour_integral import contour_integral, contour_rows
+from radiosity.core.form_factors.contour_integral import SHARE, contour_integral, contour_rows, exchanges
 from radiosity.core.form_factors.edge_integrals import edge_integrals
+from radiosity.core.form_factors.faces import Faces
 from radiosity.core.form_factors.point_to_polygon import point_to_polygon
 from radiosity.core.form_factors.quadrature import integrate_pair
 from radiosity.core.form_factors.sampling import PatchSampler, kronecker_points
+from radiosity.core.form_factors.separated_pairs import moment_rule
 
 from tests.reference_cases import allowed, form_factor_cases, ids, in_order, polygons_of, surface_matrix
 
@@ -223,6 +225,53 @@ def test_fast_tier_keeps_its_bound(accuracy):
         assert fast.errors.max() <= accuracy
         # It is no copy of the exact one.
         assert deviation.max() > 1e-4 * accuracy
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-3, 1e-4])
+def test_fast_tier_is_right_where_patches_touch(accuracy):
+    environment = grid_room(4)
+    exact, fast = contour_rows(environment), contour_rows(environment, accuracy=accuracy, fast=True)
+    corners = np.array(environment.polygons)
+    gaps = np.linalg.norm(corners[:, None, :, None] - corners[None, :, None], axis=-1).min(axis=(2, 3))
+    touching = (gaps < 1e-12) & (exact.matrix > 0)
+    assert touching.sum() > 300
+    # Near pairs may err by this share of the accuracy, however small their own factor is.
+    deviation = np.abs(fast.matrix - exact.matrix)[touching]
+    assert deviation.max() <= SHARE * accuracy
+    # What touching pairs come to between their centers of area, as fast kernels of others compute them all.
+    apart = environment.centroids - environment.centroids[:, None]
+    squares = np.square(apart).sum(axis=2) + np.eye(len(apart))
+    here = np.einsum("ijk,ik->ij", apart, environment.normals)
+    there = -np.einsum("ijk,jk->ij", apart, environment.normals)
+    centers = here * there * environment.areas / (np.pi * squares**2)
+    assert (np.abs(centers / np.where(touching, exact.matrix, 1) - 1)[touching]).max() > 0.1
+
+
+@pytest.mark.parametrize("shape", [SQUARE, SQUARE[:3], STAR], ids=["square", "triangle", "star"])
+def test_moment_rule_errs_by_the_cube_of_size_over_distance(shape):
+    errors, pair = [], np.array([0, 1])
+    for size in (0.2, 0.1, 0.05):
+        generator, shares = np.random.default_rng(21), []
+        for _ in range(40):
+            # Two faces that look at each other, each tilted, turned and moved aside at random.
+            first, second = (size * shape @ tilt(generator) + generator.uniform(-0.5, 0.5, 3) * (1, 1, 0) for _ in pair)
+            faces = Faces(core.Environment.from_polygons([first, np.add(second[::-1], (0, 0, 2))]))
+            exact, _ = exchanges(faces, pair[:1], pair[1:], 0.0)
+            found, bound = moment_rule(faces, pair[:1], pair[1:])
+            error = abs(found[0, 0] - exact[0])
+            assert error <= bound[0, 0] * faces.areas.min()
+            shares.append(error / exact[0])
+        errors.append(np.median(shares))
+    # It were the square, 4 for a halving, without the moments. A square has no third ones, and reaches 16.
+    falls = np.divide(errors[:-1], errors[1:])
+    assert np.all(falls > 15 if shape is SQUARE else falls > 7)
+
+
+def tilt(generator):
+    """A turn by any angle in the plane of x and y, then one of up to 0.6 out of it."""
+    turn, slant = generator.uniform(0, 2 * np.pi), generator.uniform(-0.6, 0.6)
+    in_plane = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    return in_plane @ [[1, 0, 0], [0, np.cos(slant), np.sin(slant)], [0, -np.sin(slant), np.cos(slant)]]
 
 
 def test_pairs_in_a_matrix_are_those_of_pairs_alone():

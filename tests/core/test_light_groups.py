@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radiosity.core import bake as module
 from radiosity.core.bake_plan import foreseen_memory, plan_for
 from radiosity.core.errors import SettingsError
+from radiosity.core.form_factors.point_to_polygon import point_to_polygon
 from radiosity.core.light_groups import LightGroups, shared_out
 from radiosity.core.lights import AreaLight, PointLight, SunLight
 from radiosity.core.scene import Sky
 
-from tests.bakes import Thing, all_light, bake, scene_of
+from tests.bakes import Thing, all_light, bake, corner_places, relative_rms, scene_of
 from tests.scenes import box, grid
 
 #: Sums of a handful of float32 numbers, each rounded a few times: relative to the whole.
@@ -19,7 +21,7 @@ ROUNDING = 2e-6
 NAMES = ("lamp", "panel", "sun", "window", "bulb", "nothing")
 
 
-def room(divisions: int = 8):
+def room(divisions: int = 16):
     """A room open on one side, with a board over the floor, a wall that stands on it, a glowing bulb, and lamps."""
     vertices, faces, sides = box(divisions=divisions)
     walls = Thing(vertices, faces[sides != 2], reflectance=(0.7, 0.5, 0.3), name="Walls")
@@ -85,6 +87,18 @@ def test_a_group_without_lights_is_dark(baked):
     assert all((group_light(grouped, name) >= 0).all() for name in NAMES)
 
 
+def test_hardly_anything_is_left_to_be_shared_out(monkeypatch):
+    scene, groups = room()
+    given = []
+    monkeypatch.setattr(module, "shared_out", lambda light: given.append(light) or shared_out(light))
+    bake(replace(scene, groups=groups))
+    light = given[0].reshape(len(given[0]), -1, 6).astype(np.float64)
+    missing = np.abs(light[:, 1:].sum(axis=1) - light[:, 0]).max(axis=1) / light[:, 0].mean(axis=1).mean()
+    # The solver leaves a change of 0.002 times the accuracy; what is cut off at zero is rare, and small.
+    assert np.quantile(missing, 0.99) < 0.002 * 0.1
+    assert missing.max() < 0.02
+
+
 @pytest.mark.parametrize("name", NAMES[:5])
 def test_a_group_has_the_light_of_a_bake_with_its_lights_alone(baked, name):
     _, grouped, scene, groups = baked
@@ -98,14 +112,8 @@ def test_a_group_has_the_light_of_a_bake_with_its_lights_alone(baked, name):
     )
     expected, found = all_light(bake(alone), "lighting"), group_light(grouped, name, "lighting")
     # Both are wrong by the accuracy asked for at most; which nodes are gathered depends on all lights.
-    error = np.sqrt(((found - expected) ** 2).mean()) / expected.mean()
-    assert error < 2 * 0.1
+    assert relative_rms(found, expected) < 0.1
     np.testing.assert_allclose(found.mean(axis=0), expected.mean(axis=0), rtol=0.02)
-
-
-def test_a_solver_stops_for_each_group(baked):
-    _, grouped, _, _ = baked
-    assert grouped.statistics["converged"]
 
 
 def test_emission_of_a_mesh_belongs_to_its_own_group(baked):
@@ -125,10 +133,16 @@ def test_faces_of_one_look_in_two_groups_are_told_apart():
     result = bake(replace(scene, surfaces=surfaces, groups=groups))
     one, other = (group_light(result, name, "direct") for name in groups.names)
     np.testing.assert_allclose(one + other, all_light(result, "direct"), rtol=ROUNDING, atol=1e-6)
-    place = np.concatenate([mesh.positions[mesh.corner_vertices] for mesh in scene.receivers])
-    left = (place[:, 0] < 0.2) & (place[:, 2] < 0.8)
-    assert (one[left] > other[left]).mean() > 0.95
-    assert one.mean() == pytest.approx(other.mean(), rel=0.1)
+    places = corner_places(scene)
+    inside = (places[:, 2] == 0) & (np.abs(places[:, :2] - 0.5) < 0.4).all(axis=1)
+    for found, shift in ((one, 0.0), (other, 0.3)):
+        exact = 5.0 * point_to_polygon(
+            places[inside],
+            np.tile([0.0, 0.0, 1.0], (inside.sum(), 1)),
+            plate[0][[0, 1, 3, 2]] + (shift, 0.0, 0.0),
+            two_sided=True,
+        )
+        np.testing.assert_allclose(found[inside, 0], exact, rtol=1e-4)  # lifted off the floor a little
 
 
 def test_what_groups_miss_of_the_whole_is_shared_out():

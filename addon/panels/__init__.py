@@ -7,6 +7,7 @@ def _classes():
     from .bake import VIEW3D_PT_radiosity
     from .discretization import VIEW3D_PT_radiosity_discretization
     from .exchange import VIEW3D_PT_radiosity_exchange
+    from .light_groups import VIEW3D_PT_radiosity_light_groups
     from .output import VIEW3D_PT_radiosity_output
     from .performance import VIEW3D_PT_radiosity_performance
     from .statistics import VIEW3D_PT_radiosity_statistics
@@ -16,6 +17,7 @@ def _classes():
         VIEW3D_PT_radiosity,
         VIEW3D_PT_radiosity_output,
         VIEW3D_PT_radiosity_world,
+        VIEW3D_PT_radiosity_light_groups,
         VIEW3D_PT_radiosity_discretization,
         VIEW3D_PT_radiosity_exchange,
         VIEW3D_PT_radiosity_performance,

@@ -4,6 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..addon.adapters.group_mix import flatten_groups
+from ..addon.adapters.update_job import store_state
 from .mix_groups import may_change_groups
 
 
@@ -20,5 +21,6 @@ class RADIOSITY_OT_flatten_groups(bpy.types.Operator):
 
     def execute(self, context):
         count = flatten_groups(context.scene)
+        store_state(context.scene, None)
         self.report({'INFO'}, rpt_("Flattened the light groups of {:d} meshes").format(count))
         return {'FINISHED'}

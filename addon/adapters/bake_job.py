@@ -34,6 +34,7 @@ from .preview_material import artist_materials
 from .receiver_meshes import choose_receivers
 from .report import listed, make_report, store_report
 from .scene_reader import SceneReading, read_scene
+from .update_job import baked_state, store_state
 from .viewport import show_colors
 
 #: Shares of the progress bar before and after the core.
@@ -94,6 +95,7 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     scene_name = context.scene.name
     reading = _read(context, options)
     targets = [_target(name) for name in reading.targets]
+    light_state = baked_state(reading, options.world_strength)
     groups = _group_attributes(reading, options)
     warnings = _check_targets(targets, reading, options, groups)
     read_seconds = time.perf_counter() - start
@@ -114,6 +116,7 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     warnings += result.warnings
     warnings += _write(targets, result, options, groups)
     show_groups(scene, groups)
+    store_state(scene, light_state)
     if options.show_in_viewport:
         show_colors(bpy.context.screen)
     end = time.perf_counter()

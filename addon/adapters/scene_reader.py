@@ -44,6 +44,8 @@ class SceneReading:
         ``receivers``.
     shared : tuple of (str, str)
         Objects that were skipped since they share their mesh, with the object that receives for both.
+    lamps : tuple of str
+        Objects of the first of `scene.lights`; the rest are suns of the world.
     """
 
     scene: Scene
@@ -51,6 +53,7 @@ class SceneReading:
     skipped: tuple[tuple[str, str], ...]
     counts: dict[str, int]
     shared: tuple[tuple[str, str], ...] = ()
+    lamps: tuple[str, ...] = ()
 
 
 def read_scene(
@@ -111,7 +114,8 @@ def read_scene(
         "materials": reader.materials.count,
         "receivers": len(meshes),
     }
-    return SceneReading(scene, tuple(obj.name for obj in choice.objects), choice.skipped, counts, choice.shared)
+    targets = tuple(obj.name for obj in choice.objects)
+    return SceneReading(scene, targets, choice.skipped, counts, choice.shared, tuple(reader.lamp_names))
 
 
 class _Reader:

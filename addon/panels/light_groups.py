@@ -30,6 +30,7 @@ class VIEW3D_PT_radiosity_light_groups(RadiositySubPanel, bpy.types.Panel):
             part.label(text=item.name, translate=False)
             part.prop(item, "color", text="")
             part.prop(item, "strength", text="")
+        layout.operator("radiosity.update", icon='FILE_REFRESH')
         row = layout.row(align=True)
         row.operator("radiosity.mix_groups", text="Reset", icon='LOOP_BACK').reset = True
         row.operator("radiosity.flatten_groups", text="Flatten", icon='NODE_COMPOSITING')

@@ -31,6 +31,14 @@ class RadiosityLightGroup(PropertyGroup):
         options=set(),
         update=_update,
     )
+    change: FloatVectorProperty(
+        name="Change",
+        description="By what this light has changed in the scene since the bake, as the last update has found",
+        default=(1.0, 1.0, 1.0),
+        size=3,
+        min=0.0,
+        options=set(),
+    )
     strength: FloatProperty(
         name="Strength",
         description="Multiply this light by a number: 1 is as it was baked",

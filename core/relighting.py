@@ -176,7 +176,7 @@ def _lamp_colors(before: list, after: list) -> tuple[list, list]:
 
 def _sky_colors(before: LightState, after: LightState) -> list[tuple[np.ndarray, np.ndarray]]:
     """Colors of the sky and its suns before and now."""
-    is_off = not after.sky and not after.suns
+    is_off = not after.sky and not any(np.any(color) for _shape, color in after.suns)
     shapes = [[shape for shape, _color in state.suns] for state in (before, after)]
     if not is_off and (shapes[0] != shapes[1] or len(before.sky) != len(after.sky)):
         raise NeedsBakeError("The picture of the world has changed since the bake: bake again")

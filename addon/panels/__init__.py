@@ -5,6 +5,7 @@ from __future__ import annotations
 
 def _classes():
     from .bake import VIEW3D_PT_radiosity
+    from .comparison import VIEW3D_PT_radiosity_comparison
     from .discretization import VIEW3D_PT_radiosity_discretization
     from .exchange import VIEW3D_PT_radiosity_exchange
     from .light_groups import VIEW3D_PT_radiosity_light_groups
@@ -22,6 +23,7 @@ def _classes():
         VIEW3D_PT_radiosity_exchange,
         VIEW3D_PT_radiosity_performance,
         VIEW3D_PT_radiosity_statistics,
+        VIEW3D_PT_radiosity_comparison,
     )
 
 

@@ -11,6 +11,7 @@ from radiosity.addon.adapters.light_groups import LONGEST_NAME, MOST_GROUPS, gro
 from radiosity.addon.command_line import main
 
 from tests.blender.test_bake_operator import colors, grid, snapshot
+from tests.blender.test_panel import draw
 
 #: Sums of a handful of float32 numbers, relative to the largest.
 ROUNDING = 2e-6
@@ -249,6 +250,33 @@ def test_writing_fails_for_all_meshes_and_groups_or_none(room, monkeypatch):
     with pytest.raises(RuntimeError, match="MemoryError"):
         bake()
     assert [snapshot(mesh) for mesh in room] == before
+
+
+def test_undo_brings_back_the_mix_and_the_groups(room):
+    bake()
+    before = colors(room[0])
+    bpy.ops.ed.undo_push(message="Bake")  # scripts push no steps of their own; the interface does
+    bpy.ops.radiosity.mix_groups(group="Red", strength=3.0)
+    bpy.ops.ed.undo_push(message="Mix")
+    assert (colors(room[0]) != before).any()
+    bpy.ops.ed.undo()
+    np.testing.assert_array_equal(colors(bpy.data.objects["Floor"].data), before)
+    assert mix()["Red"].strength == 1.0
+    bpy.ops.radiosity.flatten_groups()
+    bpy.ops.ed.undo_push(message="Flatten")
+    bpy.ops.ed.undo()
+    assert len(bpy.data.objects["Floor"].data.color_attributes) == 5 and len(mix()) == 4
+
+
+def test_the_panel_lists_the_groups_when_there_are_any(room):
+    assert "light_groups" in draw() and "radiosity.update" not in draw()
+    bpy.context.scene.radiosity.light_groups = 'LIGHT'
+    bpy.context.scene.radiosity.method = 'HEMICUBE'
+    assert "Only with Method and Solver Automatic" in draw()
+    bake(method='AUTO')
+    labels = draw()
+    assert {"Green", "Panel", "Red", "World", "use_group", "color", "strength"} <= set(labels)
+    assert {"radiosity.update", "radiosity.mix_groups", "radiosity.flatten_groups"} <= set(labels)
 
 
 def test_undo_of_the_operators_is_one_step_each():

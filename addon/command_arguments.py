@@ -46,6 +46,7 @@ _OVERRIDES = {
     "threads": "threads",
     "time_limit": "time_limit",
     "world_strength": "world_strength",
+    "light_groups": "light_groups",
 }
 
 
@@ -93,6 +94,12 @@ def build_parser(program: str, may_be_open: bool = False) -> argparse.ArgumentPa
     bake.add_argument("--bake", type=_name, choices=BAKE_TYPES, help="which part of the light")
     bake.add_argument("--selected", action="store_true", help="bake only what is selected in the file")
     bake.add_argument("--world-strength", type=float, metavar="W", help="light with a white sky of this strength")
+    bake.add_argument(
+        "--light-groups",
+        type=_name,
+        choices=("none", "light", "collection"),
+        help="keep the light of each light or collection in an attribute of its own",
+    )
     bake.add_argument("--seed", type=int, metavar="N", help="pattern of random numbers")
     bake.add_argument("--threads", type=int, metavar="N", help="processor cores to use, 0 for all")
     bake.add_argument("--time-limit", type=float, metavar="S", help="refine no further after S seconds")

@@ -15,13 +15,13 @@ from math import inf
 import numpy as np
 
 from .bake_plan import BakePlan, foreseen_memory, plan_for
-from .baked_mesh import BakedMesh
+from .baked_mesh import BakedMesh, baked_meshes, receiver_warnings
 from .cleaning import clean, compacted
 from .discretization.merging import merge_coplanar
 from .discretization.patch_colors import patch_colors
 from .discretization.patch_polygons import PatchPolygons
 from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
-from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError
+from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError, SettingsError
 from .form_factors.cached_hemispheres import HitTable, WallSides, gather
 from .gathering.indirect_light import indirect_light, uncut_edges
 from .gathering.misplaced import mend_misplaced
@@ -29,9 +29,10 @@ from .gathering.placing import place_receivers
 from .gathering.probe import probe_error
 from .gathering.walled_off import find_walled_off
 from .keys import row_keys
+from .light_groups import BANDS, joined, shared_out, spread
 from .lights.direct_light import direct_light
-from .lights.emissive import area_lights
-from .matrix_plan import FACTOR_SHARE, check_size, check_surfaces, has_name, matrix_plan
+from .lights.emissive import grouped_area_lights
+from .matrix_plan import FACTOR_SHARE, check_size, check_surfaces, chosen_names, has_name, matrix_plan
 from .progress import Progress, finish, shared_progress
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
@@ -54,12 +55,14 @@ class BakeResult:
 
     `meshes` are in the order of `Scene.receivers`. `statistics` holds JSON-ready numbers: counts of patches, receivers
     and lights, rays, seconds per stage, converged, iterations, light_absorbed, energy_balance_error, closure_error_max,
-    reciprocity_error_max, estimated_error.
+    reciprocity_error_max, estimated_error. `groups` are the meshes once more for each light group of the scene, by its
+    name: with the light of that group alone. Over all groups that adds up to the light of `meshes`.
     """
 
     meshes: list[BakedMesh]
     statistics: dict
     warnings: list[str] = field(default_factory=list)
+    groups: dict[str, list[BakedMesh]] = field(default_factory=dict)
 
 
 class _Clock:
@@ -88,11 +91,12 @@ class _Model:
     tracer: Tracer
     patches: Patches
     reflectance: np.ndarray
-    emission: np.ndarray
+    emission: np.ndarray  # (P, c)
     two_sided: np.ndarray
     black_back: np.ndarray
     sides: WallSides | None
     lights: list
+    light_colors: np.ndarray  # (L, c)
     polygons: PatchPolygons | None
 
 
@@ -156,6 +160,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
                 plan.penumbra_rays,
                 pool,
                 settings.seed,
+                colors=model.light_colors,
             )
             direct, rays = yield from _told(work, 0.3, 0.6, "Direct light")
         yield Progress(0.6, "Indirect light")
@@ -167,7 +172,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             )
             indirect = yield from _told(work, 0.6, 0.95, "Indirect light")
         with clock.stage("fill"):
-            light = np.concatenate([direct, indirect.irradiance], axis=1)
+            light = joined(direct, indirect.irradiance)
             del direct
             indirect = replace(indirect, irradiance=None)  # it is in `light` now
             work = mend_misplaced(
@@ -177,20 +182,18 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         yield Progress(0.97, "Estimating the error")
         with clock.stage("estimate"):
             error, probe_rays = probe_error(solution, receivers, light, indirect, mended.moved, plan, settings.seed)
+        light = shared_out(light)
     rays += len(receivers.edges) + solution.rays_traced + indirect.rays + probe_rays + mended.rays
     statistics = _statistics(triangles, model, receivers, solution, indirect, rays, error, clock)
-    meshes = [
-        BakedMesh(mesh, vertices, corners, light[:, :3], light[:, 3:], mended.buried)
-        for (mesh, vertices), corners in zip(stored, receivers.corner_receivers, strict=True)
-    ]
-    warnings += _receiver_warnings(meshes)
+    meshes, groups = baked_meshes(stored, receivers.corner_receivers, light, mended.buried, scene.groups)
+    warnings += receiver_warnings(meshes)
     if isinstance(solution, MatrixSolution):
         warnings += matrix_warnings(solution)
     if indirect.is_cut_short:
         warnings.append(
             f"The time limit of {settings.time_limit:g} s ended refinement early: the estimated error is {error:.1%}"
         )
-    return BakeResult(meshes, statistics, warnings)
+    return BakeResult(meshes, statistics, warnings, groups)
 
 
 def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSettings) -> None:
@@ -205,8 +208,13 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
             "world (World properties, or --world-strength 1 on the command line)"
         )
     check_surfaces(surfaces, settings)
+    if scene.groups is not None and has_name(settings):
+        raise SettingsError(
+            f"Light groups are not kept by {chosen_names(settings)}: choose method and solver auto, or no light groups"
+        )
     corners = sum(len(mesh.corner_vertices) for mesh in scene.receivers)
-    needed = foreseen_memory(len(surfaces.triangles), corners, plan)
+    groups = 0 if scene.groups is None else len(scene.groups.names)
+    needed = foreseen_memory(len(surfaces.triangles), corners, plan, groups)
     if settings.memory_limit and needed > settings.memory_limit:
         raise SceneTooLargeError(
             f"Baking {corners:,} corners among {len(surfaces.triangles):,} triangles would take about "
@@ -232,16 +240,26 @@ def _build_model(
     pool: RayPool,
 ) -> _Model:
     """The model of surfaces in the unit frame; `rows` (m,) are theirs in the surfaces that the shader knows."""
-    looks = _looks(surfaces)
+    groups = scene.groups
+    count = 0 if groups is None else len(groups.names)
+    owners = np.zeros(len(surfaces.triangles), int) if groups is None else groups.objects[surfaces.objects]
+    looks = _looks(surfaces, owners)
     merged = merge_coplanar(surfaces.vertices, surfaces.triangles, looks)
     source = merged.source
     worn = surfaces.palette_of(source)
     corners, triangles = compacted(merged.vertices, merged.triangles)
     two_sided = surfaces.two_sided[source]
-    lamps = [light.in_frame(frame.center, frame.size) for light in scene.lights if np.any(light.power > 0)]
+    bright = [row for row, light in enumerate(scene.lights) if np.any(light.power > 0)]
+    lamps = [scene.lights[row].in_frame(frame.center, frame.size) for row in bright]
     # In the unit frame, where a sun's flux is that through one unit of area whatever the scene's size.
     lamp_power = sum(float(light.power.max()) for light in lamps)
-    shining, sampled = area_lights(corners, triangles, surfaces.emission[worn], two_sided, lamp_power)
+    shining, sampled, members = grouped_area_lights(
+        corners, triangles, surfaces.emission[worn], two_sided, lamp_power, owners[source]
+    )
+    lights = [*lamps, *shining]
+    if groups is not None:
+        members = np.concatenate([np.asarray(groups.lights, dtype=int)[bright], members])
+    light_colors = spread(np.array([light.color for light in lights]).reshape(-1, BANDS), members, count)
     tracer = Tracer.build(corners.astype(np.float32), triangles, surfaces.transmittance[worn])
     patches = build_patches(corners, triangles, looks[source], plan.patches)
     cells, starts, segments = probe_segments(patches, corners, triangles)
@@ -267,11 +285,12 @@ def _build_model(
         tracer=tracer,
         patches=patches,
         reflectance=reflectance,
-        emission=emission,
+        emission=spread(emission, owners[source[patches.point_triangles[:, 0]]], count),
         two_sided=two_sided[patches.point_triangles[:, 0]],
         black_back=~two_sided,
         sides=WallSides.of(walled, corners[triangles], patches.areas) if walled.any() else None,
-        lights=[*lamps, *shining],
+        lights=lights,
+        light_colors=light_colors,
         polygons=PatchPolygons.of(patches, corners, triangles) if has_name(settings) else None,
     )
 
@@ -299,13 +318,17 @@ def _nearness(tracer: Tracer, patches: Patches, cells: np.ndarray, pool: RayPool
     return distances / np.sqrt(patches.areas[cells])
 
 
-def _looks(surfaces: Surfaces) -> np.ndarray:
-    """Numbers (m,) that are equal where triangles may be merged."""
+def _looks(surfaces: Surfaces, groups: np.ndarray) -> np.ndarray:
+    """Numbers (m,) that are equal where triangles, of light groups (m,), may be merged."""
     # Textured emission and transparency are means over one triangle each, so those triangles stay as they are.
     shining = (surfaces.emission > 0).any(axis=1) | (surfaces.transmittance > 0)
     single = surfaces.textured & surfaces.wearing(shining)
     alone = np.where(single, np.arange(1, len(single) + 1, dtype=np.int32), np.int32(0))
     different, looks = np.unique(row_keys(surfaces.materials, surfaces.two_sided, alone), return_inverse=True)
+    # What shines is of one group. The order stays: a scene whose groups differ in looks anyway gets the same numbers.
+    different, looks = np.unique(
+        looks.reshape(-1) * (int(groups.max(initial=0)) + 1) + groups * surfaces.wearing(shining), return_inverse=True
+    )
     return looks.reshape(-1).astype(np.min_scalar_type(len(different)))
 
 
@@ -314,10 +337,13 @@ def _patch_solution(
 ) -> PatchSolution:
     # A method knows no two sides of a patch.
     sides = model.sides if settings.method == "auto" else None
+    sky = None if scene.sky_is_dark else scene.sky
+    sky_columns = (0,) if scene.groups is None else (0, BANDS * (1 + scene.groups.sky))
     parts = dict(
         tracer=model.tracer,
-        hits_to_rows=HitTable(model.patches, model.black_back, None if scene.sky_is_dark else scene.sky, sides),
+        hits_to_rows=HitTable(model.patches, model.black_back, sky, sides, sky_columns),
         lights=model.lights,
+        light_colors=model.light_colors,
         reflectance=model.reflectance,
         emission=model.emission,
         two_sided=model.two_sided,
@@ -351,13 +377,6 @@ def _told(work: Generator, low: float, high: float, message: str) -> Generator[P
         except StopIteration as end:
             return end.value
         yield Progress(fraction, message)
-
-
-def _receiver_warnings(meshes: list[BakedMesh]) -> list[str]:
-    broken = [mesh.name for mesh in meshes if np.any(mesh.corner_receivers < 0)]
-    if not broken:
-        return []
-    return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]
 
 
 def _statistics(triangles, model, receivers, solution, indirect, rays, error, clock) -> dict:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .cleaning import clamped_emission, clamped_reflectance
+from .light_groups import BANDS, LightGroups
 from .scene import ReceiverMesh
 
 
@@ -26,6 +28,8 @@ class BakedMesh:
         Irradiance in W/m2 of all receivers of the bake, shared by its meshes.
     buried : (r,) bool
         Receivers inside other solids, whose light was filled in from neighbors.
+    emits : bool
+        Whether what the mesh itself emits belongs to this light, which may be that of one light group.
     """
 
     mesh: ReceiverMesh
@@ -34,6 +38,7 @@ class BakedMesh:
     direct: np.ndarray
     indirect: np.ndarray
     buried: np.ndarray
+    emits: bool = True
 
     @property
     def name(self) -> str:
@@ -89,9 +94,55 @@ class BakedMesh:
         return palette[0] if len(palette) == 1 else palette[self._faces()]
 
     def _emission(self) -> np.ndarray:
+        dark = np.zeros((len(self.mesh.corner_vertices), 3), np.float32)
+        if not self.emits:
+            return dark
         if self.mesh.corner_emission is not None:
             return clamped_emission(self.mesh.corner_emission)
         palette = clamped_emission(self.mesh.palette_emission).astype(np.float32)
         if not palette.any():
-            return np.zeros((len(self.mesh.corner_vertices), 3), np.float32)
+            return dark
         return palette[self._faces()]
+
+
+def baked_meshes(
+    meshes: Sequence[tuple[ReceiverMesh, int]],
+    corner_receivers: Sequence[np.ndarray],
+    light: np.ndarray,
+    buried: np.ndarray,
+    groups: LightGroups | None,
+) -> tuple[list[BakedMesh], dict[str, list[BakedMesh]]]:
+    """All meshes with the whole light, and once more with that of each light group, by its name.
+
+    Parameters
+    ----------
+    meshes : sequence of (ReceiverMesh, int)
+        Each with the number of its vertices.
+    corner_receivers : sequence of (c,) int32
+        Row of the receivers for each corner of each mesh.
+    light : (r, 2 c) float32
+        Of all receivers, as `light_groups.joined` makes it.
+    buried : (r,) bool
+    groups : LightGroups or None
+    """
+    parts = [light[:, at : at + 2 * BANDS] for at in range(0, light.shape[1], 2 * BANDS)]
+
+    def with_light(part: np.ndarray, emit: Sequence[bool]) -> list[BakedMesh]:
+        return [
+            BakedMesh(mesh, vertices, corners, part[:, :BANDS], part[:, BANDS:], buried, bool(emits))
+            for (mesh, vertices), corners, emits in zip(meshes, corner_receivers, emit, strict=True)
+        ]
+
+    everything = with_light(parts[0], [True] * len(meshes))
+    if groups is None:
+        return everything, {}
+    apart = (with_light(part, groups.receivers == row) for row, part in enumerate(parts[1:]))
+    return everything, dict(zip(groups.names, apart, strict=True))
+
+
+def receiver_warnings(meshes: Sequence[BakedMesh]) -> list[str]:
+    """What could not be lit, in one line."""
+    broken = [mesh.name for mesh in meshes if np.any(mesh.corner_receivers < 0)]
+    if not broken:
+        return []
+    return [f"Vertices without a position or normal stay black: {', '.join(repr(name) for name in broken)}"]

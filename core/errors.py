@@ -31,3 +31,7 @@ class MissingRayEngineError(RadiosityError):
 
 class SolverError(RadiosityError):
     """A system of equations is malformed or cannot be solved."""
+
+
+class NeedsBakeError(RadiosityError):
+    """What has changed since a bake cannot be brought up to date without a new one; the text names it."""

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from .light_groups import LightGroups
 from .lights import Light
 
 
@@ -171,13 +172,15 @@ class Sky:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that a bake needs. `warnings` are what the reader already had to say, merged and shown with the result."""
+    """All that a bake needs. `warnings` are what the reader already had to say, merged and shown with the result;
+    `groups`, where given, are lights whose light is wanted apart, each light in one of them."""
 
     surfaces: Surfaces
     receivers: Sequence[ReceiverMesh]
     lights: Sequence[Light] = ()
     sky: Sky | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
+    groups: LightGroups | None = None
 
     @property
     def sky_is_dark(self) -> bool:

@@ -12,7 +12,7 @@ from .long_work import LongWork
 
 _ARGUMENTS = (
     "quality", "accuracy", "method", "solver", "bake_type", "attribute_name", "domain", "data_type", "seed", "threads",
-    "time_limit", "world_strength", "make_single_user", "show_in_viewport",
+    "time_limit", "world_strength", "make_single_user", "show_in_viewport", "light_groups",
 )  # fmt: skip
 _ONCE = {'options': {'SKIP_SAVE'}}  # an argument given once must not stick to later calls
 
@@ -38,6 +38,7 @@ class RADIOSITY_OT_bake(LongWork, bpy.types.Operator):
     world_strength: bake_properties.world_strength(**_ONCE)
     make_single_user: bake_properties.make_single_user(**_ONCE)
     show_in_viewport: bake_properties.show_in_viewport(**_ONCE)
+    light_groups: bake_properties.light_groups(**_ONCE)
 
     stopped_text = "Bake stopped: nothing was changed"
 

@@ -5,8 +5,10 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..addon.adapters.color_attribute import remove_color_attributes
 from ..addon.adapters.compare_job import remove_comparison
+from ..addon.adapters.group_mix import show_groups
 from ..addon.adapters.preview_material import remove_leftovers, restore_materials
 from ..addon.adapters.report import remove_report
+from ..addon.adapters.update_job import store_state
 from ..addon.adapters.viewport import restore_shading
 from ..addon.properties.progress import state
 
@@ -38,6 +40,8 @@ class RADIOSITY_OT_clear(bpy.types.Operator):
         for screen in bpy.data.screens:
             restore_shading(screen)
         remove_report(context.scene)
+        show_groups(context.scene, {})
+        store_state(context.scene, None)
         remove_comparison(context.scene)
         self.report({'INFO'}, rpt_("Cleared the light of {:d} meshes").format(count))
         return {'FINISHED'}

@@ -20,17 +20,21 @@ from ...core.bake import BakedMesh, BakeResult, Progress, bake_steps
 from ...core.errors import RadiosityError
 from .bake_settings import BakeOptions
 from .color_attribute import (
-    baked_attributes,
+    GroupColors,
     check_writable,
     flat_colors,
     is_color_attribute,
     write_color_attributes,
+    written_attributes,
 )
+from .group_mix import show_groups
+from .light_groups import group_attribute_names
 from .memory import MemoryMeter, give_back_freed
 from .preview_material import artist_materials
 from .receiver_meshes import choose_receivers
 from .report import listed, make_report, store_report
 from .scene_reader import SceneReading, read_scene
+from .update_job import baked_state, store_state
 from .viewport import show_colors
 
 #: Shares of the progress bar before and after the core.
@@ -91,7 +95,9 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     scene_name = context.scene.name
     reading = _read(context, options)
     targets = [_target(name) for name in reading.targets]
-    warnings = _check_targets(targets, reading, options)
+    light_state = baked_state(reading, options.world_strength)
+    groups = _group_attributes(reading, options)
+    warnings = _check_targets(targets, reading, options, groups)
     read_seconds = time.perf_counter() - start
     meter.sample()
 
@@ -108,7 +114,9 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
     if scene is None:
         raise SceneChangedError(f"Scene {scene_name!r} was removed during the bake: nothing was written")
     warnings += result.warnings
-    warnings += _write(targets, result, options)
+    warnings += _write(targets, result, options, groups)
+    show_groups(scene, groups)
+    store_state(scene, light_state)
     if options.show_in_viewport:
         show_colors(bpy.context.screen)
     end = time.perf_counter()
@@ -116,7 +124,7 @@ def bake_job_steps(context: bpy.types.Context, options: BakeOptions) -> Generato
         scene_name=scene_name,
         counts={**reading.counts, "baked_objects": len(targets)},
         settings=options.as_dict(),
-        statistics=result.statistics,
+        statistics={**result.statistics, "light_groups": groups},
         seconds={"read": read_seconds, "write": end - write_start, "total": end - start},
         memory=meter.result(),
         warnings=warnings,
@@ -133,7 +141,7 @@ def _read(context: bpy.types.Context, options: BakeOptions) -> SceneReading:
         if options.make_single_user:
             sharing = [bpy.data.objects[name] for name, _receiver in choose_receivers(context, None).shared]
             stack.callback(_share_again, _make_single_user(sharing))
-        return read_scene(context, world_strength=options.world_strength)
+        return read_scene(context, world_strength=options.world_strength, grouping=options.light_groups)
 
 
 def _scaled(steps: Generator[Progress, None, BakeResult], meter: MemoryMeter) -> Generator[Progress, None, BakeResult]:
@@ -166,18 +174,31 @@ def _target(object_name: str) -> _Target:
     return _Target(object_name, mesh.name, len(mesh.vertices), len(mesh.loops))
 
 
-def _check_targets(targets: Sequence[_Target], reading: SceneReading, options: BakeOptions) -> list[str]:
+def _group_attributes(reading: SceneReading, options: BakeOptions) -> dict[str, str]:
+    """Attribute of each light group, by the groups' names."""
+    groups = reading.scene.groups
+    if groups is None:
+        return {}
+    return dict(zip(groups.names, group_attribute_names(options.attribute_name, groups.names), strict=True))
+
+
+def _check_targets(
+    targets: Sequence[_Target], reading: SceneReading, options: BakeOptions, groups: dict[str, str]
+) -> list[str]:
     """Refuse what cannot be written, before the slow part; returns warnings."""
     warnings = []
-    overwritten = []
-    name = options.attribute_name
-    for target in targets:
-        obj = bpy.data.objects[target.object_name]
-        check_writable(obj.data, name, [group.name for group in obj.vertex_groups])
-        if is_color_attribute(obj.data, name) and name not in baked_attributes(obj.data):
-            overwritten.append(obj.data.name)
-    if overwritten:
-        warnings.append(f"A color attribute {name!r} that no bake had made was overwritten on: {listed(overwritten)}")
+    for name in (options.attribute_name, *groups.values()):
+        overwritten = []
+        for target in targets:
+            obj = bpy.data.objects[target.object_name]
+            mesh = obj.data
+            check_writable(mesh, name, [group.name for group in obj.vertex_groups])
+            if is_color_attribute(mesh, name) and name not in written_attributes(mesh):
+                overwritten.append(mesh.name)
+        if overwritten:
+            warnings.append(
+                f"A color attribute {name!r} that no bake had made was overwritten on: {listed(overwritten)}"
+            )
     if not options.make_single_user:
         meshes = {bpy.data.objects[target.object_name].data for target in targets}
         crowded = {mesh for mesh in meshes if mesh.users - mesh.use_fake_user > 1}
@@ -205,10 +226,14 @@ def _skipped(reading: SceneReading) -> list[dict[str, str]]:
     ]
 
 
-def _write(targets: Sequence[_Target], result: BakeResult, options: BakeOptions) -> list[str]:
+def _write(targets: Sequence[_Target], result: BakeResult, options: BakeOptions, groups: dict[str, str]) -> list[str]:
     """Write all meshes or none; returns warnings."""
     objects = [_object_of(target) for target in targets]
     colors = [_values(baked, options) for baked in result.meshes]
+    parts = [
+        GroupColors(group, attribute, [_values(baked, options) for baked in result.groups[group]])
+        for group, attribute in groups.items()
+    ]
     copies = _make_single_user(objects) if options.make_single_user else []
     try:
         write_color_attributes(
@@ -216,6 +241,7 @@ def _write(targets: Sequence[_Target], result: BakeResult, options: BakeOptions)
             options.attribute_name,
             options.domain,
             options.data_type,
+            parts,
         )
     except BaseException:
         _share_again(copies)

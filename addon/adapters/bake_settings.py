@@ -12,10 +12,9 @@ import bpy
 from ... import __package__ as base_package
 from ...core.errors import SettingsError
 from ...core.settings import QUALITY_ACCURACY, BakeSettings
+from .color_attribute import LONGEST_NAME
+from .light_groups import GROUPINGS
 from .memory import physical_memory
-
-#: Blender 4.2 to 5.0 cut or refuse longer names of attributes: 68 bytes with the closing zero.
-LONGEST_NAME = 67
 
 #: Attributes that Blender itself reads, with other types than colors.
 RESERVED_NAMES = frozenset(
@@ -50,6 +49,8 @@ class BakeOptions:
         Give objects that share a mesh one of their own before the colors are written.
     show_in_viewport : bool
         Switch the 3D viewports of the screen to the baked colors.
+    light_groups : str
+        Whose light is kept apart, in attributes of its own: ``NONE``, of each ``LIGHT``, of each ``COLLECTION``.
 
     Raises
     ------
@@ -64,12 +65,14 @@ class BakeOptions:
     world_strength: float | None = None
     make_single_user: bool = False
     show_in_viewport: bool = False
+    light_groups: str = "NONE"
 
     def __post_init__(self) -> None:
         check_attribute_name(self.attribute_name)
         for name, value, known in (
             ("domain", self.domain, _DOMAINS),
             ("data type", self.data_type, ("FLOAT_COLOR", "BYTE_COLOR")),
+            ("kind of light groups", self.light_groups, ("NONE", *GROUPINGS)),
         ):
             if value not in known:
                 raise SettingsError(f"Unknown {name} {value!r}: choose {' or '.join(known)}")
@@ -110,9 +113,9 @@ def bake_options(scene_settings, **overrides) -> BakeOptions:
         `Scene.radiosity`.
     **overrides
         Values by property name: quality, accuracy, method, solver, bake_type, attribute_name, domain, data_type, seed,
-        threads, time_limit, memory_limit (bytes), world_strength, make_single_user, show_in_viewport. None means not
-        given. Names of choices may be in either case, with hyphens or underscores. An accuracy given alone means
-        quality CUSTOM.
+        threads, time_limit, memory_limit (bytes), world_strength, make_single_user, show_in_viewport, light_groups.
+        None means not given. Names of choices may be in either case, with hyphens or underscores. An accuracy given
+        alone means quality CUSTOM.
 
     Returns
     -------
@@ -129,6 +132,7 @@ def bake_options(scene_settings, **overrides) -> BakeOptions:
     known = {
         "quality", "accuracy", "method", "solver", "bake_type", "attribute_name", "domain", "data_type", "seed",
         "threads", "time_limit", "memory_limit", "world_strength", "make_single_user", "show_in_viewport",
+        "light_groups",
     }  # fmt: skip
     if unknown := sorted(given.keys() - known):
         raise TypeError(f"bake_options() got unknown names: {', '.join(unknown)}")
@@ -157,6 +161,7 @@ def bake_options(scene_settings, **overrides) -> BakeOptions:
         world_strength=None if world_strength is None else float(world_strength),
         make_single_user=bool(value("make_single_user")),
         show_in_viewport=bool(value("show_in_viewport")),
+        light_groups=_choice(value("light_groups")),
     )
 
 

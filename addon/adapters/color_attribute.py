@@ -2,7 +2,8 @@
 
 What is replaced is kept until every mesh has its colors, so an error half-way leaves each mesh as it was. A mesh
 remembers which attributes were baked, and which were active before, in the custom property `STATE_KEY`; copies of the
-mesh carry it along, and `remove_color_attributes` takes it away with the rest.
+mesh carry it along, and `remove_color_attributes` takes it away with the rest. Light groups are attributes of their own
+beside the one that holds their sum; a bake replaces those of the bake before.
 
 An attribute of the wanted name, domain and type is overwritten in place and keeps its position. A color attribute of
 that name with another domain or type is replaced: the new one is filled under a temporary name first, and takes the
@@ -14,14 +15,19 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ...core.errors import RadiosityError, SettingsError
 
-#: Custom property of a mesh: JSON with the names of the baked attributes, and what was active before the first of them.
+#: Custom property of a mesh: JSON with the names of the baked attributes, what was active before the first of them, and
+#: for each that has light groups their attributes by the groups' names.
 STATE_KEY = "radiosity_color_attributes"
+
+#: Blender 4.2 to 5.0 cut or refuse longer names of attributes: 68 bytes with the closing zero.
+LONGEST_NAME = 67
 
 _TEMPORARY_NAME = "radiosity_unfinished"
 _COLOR_TYPES = ("FLOAT_COLOR", "BYTE_COLOR")
@@ -34,6 +40,21 @@ class WriteError(RadiosityError):
 def baked_attributes(mesh: bpy.types.Mesh) -> list[str]:
     """Names of the attributes that a bake wrote to a mesh and that it still has."""
     return [name for name in _read_state(mesh).get("attributes", ()) if is_color_attribute(mesh, name)]
+
+
+def group_attributes(mesh: bpy.types.Mesh) -> dict[str, dict[str, str]]:
+    """For each attribute that a bake with light groups wrote to a mesh: names of the groups' attributes, by group.
+
+    Those that are gone since are named too: whoever sums them up must know.
+    """
+    baked = baked_attributes(mesh)
+    return {name: groups for name, groups in _read_state(mesh).get("groups", {}).items() if name in baked}
+
+
+def written_attributes(mesh: bpy.types.Mesh) -> list[str]:
+    """Names of all that bakes wrote to a mesh, light groups included."""
+    state = _read_state(mesh)
+    return [*state.get("attributes", ()), *_group_names(state)]
 
 
 def is_color_attribute(mesh: bpy.types.Mesh, name: str) -> bool:
@@ -73,8 +94,21 @@ def flat_colors(rgb: np.ndarray) -> np.ndarray:
     return rgba.reshape(-1)
 
 
+@dataclass(frozen=True)
+class GroupColors:
+    """Colors of one light group: its name, that of its attribute, and flat colors for each mesh."""
+
+    group: str
+    attribute: str
+    colors: Sequence[np.ndarray]
+
+
 def write_color_attributes(
-    colors: Sequence[tuple[bpy.types.Mesh, np.ndarray]], name: str, domain: str, data_type: str
+    colors: Sequence[tuple[bpy.types.Mesh, np.ndarray]],
+    name: str,
+    domain: str,
+    data_type: str,
+    groups: Sequence[GroupColors] = (),
 ) -> None:
     """Store colors in the attribute `name` of each mesh, and make it the active and the render color. All or nothing.
 
@@ -84,44 +118,61 @@ def write_color_attributes(
         Linear colors from `flat_colors`, n being the size of the domain; each mesh once.
     name, domain, data_type : str
         As in `BakeOptions`.
+    groups : sequence of GroupColors
+        Stored beside it as 32-bit numbers, in the same domain.
 
     Raises
     ------
     WriteError, SettingsError
         If any mesh cannot take the attribute; then none was changed.
     """
-    for mesh, values in colors:
-        check_writable(mesh, name)
-        size = len(mesh.loops if domain == "CORNER" else mesh.vertices)
-        if values.shape != (4 * size,):
-            raise WriteError(
-                f"Mesh {mesh.name!r} has changed during the bake: {len(values) // 4} colors do not fit its {size} "
-                f"{'corners' if domain == 'CORNER' else 'vertices'}. Nothing was written; bake again"
-            )
+    # The one that is shown comes last, so that it ends up as the active one.
+    layers = [(group.attribute, "FLOAT_COLOR", group.colors) for group in groups]
+    layers.append((name, data_type, [values for _mesh, values in colors]))
+    meshes = [mesh for mesh, _values in colors]
+    for attribute, _type, each in layers:
+        for mesh, values in zip(meshes, each, strict=True):
+            check_writable(mesh, attribute)
+            _check_size(mesh, values, domain)
+    befores = [_Before(mesh) for mesh in meshes]
+    finish = []
     with ExitStack() as undo:
-        finish = [_fill(mesh, values, name, domain, data_type, undo) for mesh, values in colors]
+        for number, (attribute, kind, each) in enumerate(layers):
+            temporary = f"{_TEMPORARY_NAME}.{number}"
+            for mesh, values, before in zip(meshes, each, befores, strict=True):
+                finish.append(_fill(mesh, values, attribute, domain, kind, temporary, undo, before))
         # From here on nothing takes memory or can be refused: names and flags only.
         undo.pop_all()
     for step in finish:
         step()
+    for mesh, before in zip(meshes, befores, strict=True):
+        _remember(mesh, name, {group.group: group.attribute for group in groups}, before)
 
 
-def _fill(mesh, values, name, domain, data_type, undo: ExitStack):
+def _check_size(mesh, values, domain):
+    size = len(mesh.loops if domain == "CORNER" else mesh.vertices)
+    if values.shape != (4 * size,):
+        raise WriteError(
+            f"Mesh {mesh.name!r} has changed during the bake: {len(values) // 4} colors do not fit its {size} "
+            f"{'corners' if domain == 'CORNER' else 'vertices'}. Nothing was written; bake again"
+        )
+
+
+def _fill(mesh, values, name, domain, data_type, temporary, undo: ExitStack, before):
     """Store the values of one mesh; the way back goes on the stack `undo`, the last step is returned."""
     old = mesh.attributes.get(name)
-    before = _Before(mesh)
     if old is not None and (old.domain, old.data_type) == (domain, data_type):
         kept = np.empty(len(values), dtype=np.float32)
         old.data.foreach_get("color", kept)
         undo.callback(_set_colors, mesh, name, kept)
         _set_colors(mesh, name, values)
-        return lambda: _finish(mesh, name, name, before)
-    mesh.color_attributes.new(name=_TEMPORARY_NAME, type=data_type, domain=domain)
-    undo.callback(_drop_temporary, mesh, before)
-    if _TEMPORARY_NAME not in mesh.attributes:
+        return lambda: None
+    mesh.color_attributes.new(name=temporary, type=data_type, domain=domain)
+    undo.callback(_drop_temporary, mesh, temporary, before)
+    if temporary not in mesh.attributes:
         raise WriteError(f"Blender refuses a new color attribute on mesh {mesh.name!r}")
-    _set_colors(mesh, _TEMPORARY_NAME, values)
-    return lambda: _finish(mesh, _TEMPORARY_NAME, name, before)
+    _set_colors(mesh, temporary, values)
+    return lambda: _rename(mesh, temporary, name)
 
 
 def _set_colors(mesh, name, values):
@@ -129,24 +180,33 @@ def _set_colors(mesh, name, values):
     mesh.update()
 
 
-def _drop_temporary(mesh, before):
+def _drop_temporary(mesh, temporary, before):
     # Adding moves attributes in memory, so it is always found by name.
-    attribute = mesh.attributes.get(_TEMPORARY_NAME)
+    attribute = mesh.attributes.get(temporary)
     if attribute is not None:
         mesh.attributes.remove(attribute)
     before.restore(mesh)
 
 
-def _finish(mesh, stored, name, before):
-    if stored != name:
-        if name in mesh.attributes:
-            mesh.attributes.remove(mesh.attributes[name])
-        mesh.attributes[stored].name = name
+def _rename(mesh, stored, name):
+    if name in mesh.attributes:
+        mesh.attributes.remove(mesh.attributes[name])
+    mesh.attributes[stored].name = name
+
+
+def _remember(mesh, name, groups: dict[str, str], before):
+    """Note what was written, remove groups that only the bake before had, and make the sum the active color."""
     state = _read_state(mesh) or {
         "attributes": [], "active": before.active_color, "render": before.render_color,
     }  # fmt: skip
     if name not in state["attributes"]:
         state["attributes"].append(name)
+    former = state.setdefault("groups", {}).pop(name, {})
+    _remove(mesh, [attribute for attribute in former.values() if attribute not in groups.values()])
+    if groups:
+        state["groups"][name] = groups
+    if not state["groups"]:
+        del state["groups"]
     mesh[STATE_KEY] = json.dumps(state)
     before.restore_active_attribute(mesh)
     mesh.attributes.active_color_name = name
@@ -179,14 +239,14 @@ def remove_color_attributes(mesh: bpy.types.Mesh) -> bool:
     if not state:
         return False
     before = _Before(mesh)
-    for name in baked_attributes(mesh):
-        mesh.attributes.remove(mesh.attributes[name])
+    written = written_attributes(mesh)
+    _remove(mesh, written)
     # What the artist made active since then stays so.
     for attribute, current, former in (
         ("active_color_name", before.active_color, state["active"]),
         ("default_color_name", before.render_color, state["render"]),
     ):
-        if current not in state["attributes"]:
+        if current not in written:
             former = current
         elif former and not is_color_attribute(mesh, former):
             # Without any other it stays: Blender 5.2 keeps the name of an attribute that is gone.
@@ -196,6 +256,33 @@ def remove_color_attributes(mesh: bpy.types.Mesh) -> bool:
     del mesh[STATE_KEY]
     mesh.update()
     return True
+
+
+def forget_groups(mesh: bpy.types.Mesh) -> bool:
+    """Remove the light groups of a mesh and leave their sum as it is; whether there were any."""
+    state = _read_state(mesh)
+    if "groups" not in state:
+        return False
+    before = _Before(mesh)
+    _remove(mesh, _group_names(state))
+    del state["groups"]
+    mesh[STATE_KEY] = json.dumps(state)
+    # An artist may have made a group the active one.
+    for flag, current in (("active_color_name", before.active_color), ("default_color_name", before.render_color)):
+        setattr(mesh.attributes, flag, current if is_color_attribute(mesh, current) else state["attributes"][-1])
+    before.restore_active_attribute(mesh)
+    mesh.update()
+    return True
+
+
+def _group_names(state) -> list[str]:
+    return [attribute for groups in state.get("groups", {}).values() for attribute in groups.values()]
+
+
+def _remove(mesh, names):
+    for name in names:
+        if is_color_attribute(mesh, name):
+            mesh.attributes.remove(mesh.attributes[name])
 
 
 def _read_state(mesh) -> dict:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -19,6 +19,7 @@ from ...core.lights import Light
 from ...core.scene import Scene
 from .images import ImageLibrary
 from .lamps import LampReader, is_portal
+from .light_groups import light_groups
 from .materials import Look, MaterialLibrary, join_names
 from .mesh_arrays import MeshArrays, read_corner_attribute, read_mesh
 from .receiver_meshes import choose_receivers, read_receivers
@@ -43,6 +44,8 @@ class SceneReading:
         ``receivers``.
     shared : tuple of (str, str)
         Objects that were skipped since they share their mesh, with the object that receives for both.
+    lamps : tuple of str
+        Objects of the first of `scene.lights`; the rest are suns of the world.
     """
 
     scene: Scene
@@ -50,12 +53,14 @@ class SceneReading:
     skipped: tuple[tuple[str, str], ...]
     counts: dict[str, int]
     shared: tuple[tuple[str, str], ...] = ()
+    lamps: tuple[str, ...] = ()
 
 
 def read_scene(
     context: bpy.types.Context,
     receivers: Sequence[bpy.types.Object] | None = None,
     world_strength: float | None = None,
+    grouping: str = "NONE",
 ) -> SceneReading:
     """Read the scene and view layer of a context.
 
@@ -66,6 +71,8 @@ def read_scene(
         Who wants to know its light; by default the selected meshes, or without any, all that render.
     world_strength : float, optional
         Replaces the strength of the world's background, in W/(m2 sr).
+    grouping : str
+        Whose light is kept apart; see `light_groups.light_groups`.
 
     Returns
     -------
@@ -98,6 +105,8 @@ def read_scene(
         )
     warnings += _image_warnings(reader.images)
     scene = Scene(surfaces, tuple(meshes), (*reader.lights, *suns), sky, tuple(warnings))
+    if grouping != "NONE":
+        scene = replace(scene, groups=light_groups(grouping, scene, reader.lamp_names, context.scene))
     counts = {
         **counts,
         "triangles": len(surfaces.triangles),
@@ -105,7 +114,8 @@ def read_scene(
         "materials": reader.materials.count,
         "receivers": len(meshes),
     }
-    return SceneReading(scene, tuple(obj.name for obj in choice.objects), choice.skipped, counts, choice.shared)
+    targets = tuple(obj.name for obj in choice.objects)
+    return SceneReading(scene, targets, choice.skipped, counts, choice.shared, tuple(reader.lamp_names))
 
 
 class _Reader:
@@ -116,6 +126,7 @@ class _Reader:
         self.materials = MaterialLibrary(self.images, context.view_layer.material_override)
         self.placements: dict[tuple, Placement] = {}
         self.lights: list[Light] = []
+        self.lamp_names: list[str] = []
         self._lamps = LampReader(self.images)
         self._depsgraph = depsgraph
         self._rendered = rendered_objects(context.view_layer)
@@ -178,6 +189,7 @@ class _Reader:
         light = self._lamps.read(obj, matrix)
         if light is not None:
             self.lights.append(light)
+            self.lamp_names.append(obj.name)
 
     def _add_mesh(self, obj, matrix, mirrored: bool) -> None:
         mesh = obj.data

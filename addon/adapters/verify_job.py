@@ -17,6 +17,7 @@ from ...core.errors import EmptySceneError, RadiosityError
 from ...core.progress import Progress
 from ...core.verification.verification import PLACES, StoredColors, Verification, verify_steps
 from .color_attribute import baked_attributes
+from .group_mix import is_mixed
 from .preview_material import artist_materials
 from .report import read_report, store_report
 from .scene_reader import SceneReading, read_scene
@@ -63,6 +64,8 @@ def verify_job_steps(
     report = read_report(context.scene)
     if report is None:
         raise EmptySceneError(f"Nothing was baked in scene {scene_name!r} yet: bake first, then measure")
+    if is_mixed(context.scene):
+        raise RadiosityError("The light groups are mixed, and the light shown is not that of the scene: reset the mix")
     settings = report["settings"]
     name = settings["attribute_name"]
     reading = _read(context, name, settings["world_strength"])

@@ -8,6 +8,7 @@ def _classes():
     from .comparison import VIEW3D_PT_radiosity_comparison
     from .discretization import VIEW3D_PT_radiosity_discretization
     from .exchange import VIEW3D_PT_radiosity_exchange
+    from .light_groups import VIEW3D_PT_radiosity_light_groups
     from .output import VIEW3D_PT_radiosity_output
     from .performance import VIEW3D_PT_radiosity_performance
     from .statistics import VIEW3D_PT_radiosity_statistics
@@ -17,6 +18,7 @@ def _classes():
         VIEW3D_PT_radiosity,
         VIEW3D_PT_radiosity_output,
         VIEW3D_PT_radiosity_world,
+        VIEW3D_PT_radiosity_light_groups,
         VIEW3D_PT_radiosity_discretization,
         VIEW3D_PT_radiosity_exchange,
         VIEW3D_PT_radiosity_performance,

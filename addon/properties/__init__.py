@@ -4,11 +4,13 @@ from __future__ import annotations
 
 
 def _classes():
+    from .light_group import RadiosityLightGroup
     from .preferences import RadiosityPreferences
     from .progress import RadiosityProgress
     from .scene import RadiositySceneSettings
 
-    return RadiositySceneSettings, RadiosityProgress, RadiosityPreferences
+    # Settings hold groups, which come first.
+    return RadiosityLightGroup, RadiositySceneSettings, RadiosityProgress, RadiosityPreferences
 
 
 def register() -> None:
@@ -17,7 +19,7 @@ def register() -> None:
 
     for cls in _classes():
         bpy.utils.register_class(cls)
-    settings, progress, _preferences = _classes()
+    _group, settings, progress, _preferences = _classes()
     bpy.types.Scene.radiosity = bpy.props.PointerProperty(
         name="Radiosity", description="Settings of the radiosity bake", type=settings
     )

@@ -38,7 +38,11 @@ DATA_TYPE_ITEMS = [
     ('FLOAT_COLOR', "Color", "Store 32-bit numbers, which keep light brighter than white", 0),
     ('BYTE_COLOR', "Byte Color", "Store 8-bit numbers, a quarter of the size, cut off at white", 1),
 ]
-
+LIGHT_GROUP_ITEMS = [
+    ('NONE', "None", "Store all light together", 0),
+    ('LIGHT', "Per Light", "One group for each lamp, each object that emits, and the world", 1),
+    ('COLLECTION', "Per Collection", "One group for the lights of each collection, and one for the world", 2),
+]
 
 _METHOD_TEXTS = {
     "auto": ("Automatic", "Rays to patches that are kept: the fastest and the most accurate, for scenes of any size"),
@@ -201,6 +205,16 @@ def make_single_user(**more):
         name="Make Single User",
         description="Give each object that shares its mesh with others a mesh of its own",
         default=False,
+        **more,
+    )
+
+
+def light_groups(**more):
+    return EnumProperty(
+        name="Light Groups",
+        description="Keep the light of some lights apart, in attributes of their own, to mix it afterwards",
+        items=LIGHT_GROUP_ITEMS,
+        default='NONE',
         **more,
     )
 

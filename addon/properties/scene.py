@@ -1,10 +1,11 @@
 """Settings of a scene, `Scene.radiosity`: what the panel shows and what a bake uses unless told otherwise."""
 
-from bpy.props import BoolProperty, FloatProperty, IntProperty
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty
 from bpy.types import PropertyGroup
 
 from ...core.settings import ACCURACY_RANGE
 from . import bake
+from .light_group import RadiosityLightGroup
 
 _FIXED = {'options': set()}  # settings of a bake are not animated
 
@@ -32,6 +33,13 @@ class RadiositySceneSettings(PropertyGroup):
     world_strength: bake.world_strength(min=0.0, **_FIXED)
     make_single_user: bake.make_single_user(**_FIXED)
     show_in_viewport: bake.show_in_viewport(**_FIXED)
+    light_groups: bake.light_groups(**_FIXED)
+    groups: CollectionProperty(
+        name="Groups",
+        description="Light groups of the last bake and how they are mixed",
+        type=RadiosityLightGroup,
+        options=set(),
+    )
     subdivide_length: FloatProperty(
         name="Maximum Edge",
         description="Divide faces until none of their edges is longer than this; 0 proposes a length that suits them",

@@ -128,12 +128,12 @@ def sharpen(
     seed: int,
     pool: RayPool,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Irradiance (n, 3) from an even sample outside the marked cells and a divided one inside; and the rays it took.
+    """Irradiance (n, c) from an even sample outside the marked cells and a divided one inside; and the rays it took.
 
     Parameters
     ----------
     light_of : callable
-        From table rows (m,) to their radiosity (m, 3).
+        From table rows (m,) to their radiosity (m, c), c being 3 without light groups; only the first three decide.
     points, normals : (n, 3) float32
     rows : (n, N) int32
         Table rows that `gather` found with these `names` (n,) and `seed`.
@@ -145,21 +145,23 @@ def sharpen(
         Radiosity of the brightest thing met.
     """
     count, rays = rows.shape
-    out = np.empty((count, 3), np.float32)
+    columns = light_of(rows[:0, 0]).shape[1]
+    out = np.empty((count, columns), np.float32)
     spent = 0
-    for start in range(0, count, BLOCK):
-        part = slice(start, start + BLOCK)
+    block = max(1, 3 * BLOCK // columns)
+    for start in range(0, count, block):
+        part = slice(start, start + block)
         row, ray = np.divmod(np.arange(rows[part].size), rays)
         outside = ~marked[part][row, _cells_of_rays(rays, names[part][row], ray, seed)]
-        radiosity = np.where(outside[:, None], light_of(rows[part].ravel()), 0).reshape(-1, rays, 3)
+        radiosity = np.where(outside[:, None], light_of(rows[part].ravel()), 0).reshape(-1, rays, columns)
         kept = np.maximum(outside.reshape(-1, rays).sum(axis=1), 1)
         share = 1 - marked[part].mean(axis=1)
         even = radiosity.sum(axis=1) * (share / kept)[:, None]
         work = _Divided(tracer, hits_to_rows, light_of, points[part], normals[part], names[part], seed, pool)
-        found, cast = work.irradiance(marked[part], limits[part], brightest)
+        found, cast = work.irradiance(marked[part], limits[part], brightest, columns)
         out[part] = even + found
         spent += cast
-        yield min(start + BLOCK, count) / count
+        yield min(start + block, count) / count
     return out, spent
 
 
@@ -171,9 +173,11 @@ class _Divided:
         self.starts = (points + np.float32(OFFSET) * normals).astype(np.float32)
         self.normals, self.names, self.seed = normals, names, seed
 
-    def irradiance(self, marked: np.ndarray, limits: np.ndarray, brightest: float) -> tuple[np.ndarray, int]:
-        """(n, 3) what comes from the marked cells, and the rays it took."""
-        total, spent = np.zeros((len(marked), 3)), 0
+    def irradiance(
+        self, marked: np.ndarray, limits: np.ndarray, brightest: float, columns: int
+    ) -> tuple[np.ndarray, int]:
+        """(n, columns) what comes from the marked cells, and the rays it took."""
+        total, spent = np.zeros((len(marked), columns)), 0
         who, cell = np.nonzero(marked)
         corner, width = np.stack([cell // GRID, cell % GRID], axis=1), 1.0 / GRID
         for halving in range(HALVINGS):
@@ -182,7 +186,7 @@ class _Divided:
             # Those that one ray in each quarter would be too few for are not asked, but divided at once.
             coarse = (brightest * weight > OVERLOOKED * limits[who]) & (not is_last)
             asked, places = who[~coarse], _quarters(corner[~coarse])
-            found = self.light_of(self._meet(np.repeat(asked, 4), places, width / 2)).reshape(-1, 4, 3)
+            found = self.light_of(self._meet(np.repeat(asked, 4), places, width / 2)).reshape(-1, 4, columns)
             spent += len(places)
             differ = np.zeros(len(asked), bool)
             if not is_last:
@@ -192,7 +196,7 @@ class _Divided:
                 least = np.minimum(np.minimum(one, two), np.minimum(three, four))
                 differ = (most - least) * weight > limits[asked]
                 differ |= _touched(asked, corner[~coarse], differ, round(1 / width))
-            for channel in range(3):
+            for channel in range(columns):
                 amounts = found[~differ, :, channel] @ np.full(4, weight)
                 total[:, channel] += np.bincount(asked[~differ], weights=amounts, minlength=len(marked))
             corner = np.concatenate([_quarters(corner[coarse]), places.reshape(-1, 4, 2)[differ].reshape(-1, 2)])

@@ -127,13 +127,15 @@ class HitTable:
     for backs that reflect nothing, and last one for rays that leave a scene without sky.
 
     `black_back` (m,) marks triangles whose back reflects nothing. `sides`, where given, tells the two sides of patches
-    apart on which a wall stands.
+    apart on which a wall stands. `sky_columns` are the first columns, of three each, in which the sky counts: those of
+    the whole and of its light group.
     """
 
     patches: Patches
     black_back: np.ndarray
     sky: Sky | None
     sides: WallSides | None = None
+    sky_columns: tuple[int, ...] = (0,)
 
     @property
     def sky_start(self) -> int:
@@ -161,13 +163,16 @@ class HitTable:
         return self.rows - 1
 
     def table(self, radiosity: np.ndarray) -> np.ndarray:
-        """(rows, 4) float32 table from the radiosity (2P, 3) of fronts and backs; 4 wide, because that is fetched
-        fastest."""
-        out = np.zeros((self.rows, 4), np.float32)
-        out[: self.sky_start, :3] = radiosity
+        """(rows, c + 1) float32 table from the radiosity (2P, c) of fronts and backs, c being 3 without light groups;
+        4 wide, because that is fetched fastest."""
+        columns = radiosity.shape[1]
+        out = np.zeros((self.rows, columns + 1), np.float32)
+        out[: self.sky_start, :columns] = radiosity
         if self.sky is not None:
             # Radiance L over the whole hemisphere gives irradiance pi L, as a patch of radiosity pi L would.
-            out[self.sky_start : self.sky_start + self.sky_cells, :3] = np.pi * self.sky.radiance.reshape(-1, 3)
+            light = np.pi * self.sky.radiance.reshape(-1, 3)
+            for first in self.sky_columns:
+                out[self.sky_start : self.sky_start + self.sky_cells, first : first + 3] = light
         return out
 
     def is_outside(self) -> np.ndarray:
@@ -219,8 +224,11 @@ class Gathered:
     distances: np.ndarray
 
     def irradiance(self, table: np.ndarray) -> np.ndarray:
-        """(n, 3) float32 mean of the table over the directions, in blocks of bounded memory."""
+        """(n, c) float32 mean of the table (rows, c + 1) over the directions, in blocks of bounded memory."""
         count, rays = self.rows.shape
+        if table.shape[1] > 4:
+            firsts = range(0, table.shape[1] - 1, 3)
+            return np.concatenate([self.irradiance(_four_wide(table[:, at : at + 3])) for at in firsts], axis=1)
         out = np.empty((count, 3), np.float32)
         # The mean as a matrix product: several times faster than a reduction over the middle axis. Blocks are so small
         # that the product is no work for threads of its own: on a busy machine those wait for each other.
@@ -230,6 +238,11 @@ class Gathered:
             seen = table.take(self.rows[start : start + block], axis=0)
             out[start : start + block] = seen.reshape(len(seen), 4 * rays) @ mean
         return out
+
+
+def _four_wide(colors: np.ndarray) -> np.ndarray:
+    """Columns (rows, 3) of a table as a table of their own (rows, 4)."""
+    return np.pad(colors, ((0, 0), (0, 1)))
 
 
 def chosen_directions(normals: np.ndarray, rays: int, seed: int, names: np.ndarray, chosen: np.ndarray) -> np.ndarray:

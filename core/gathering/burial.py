@@ -35,7 +35,7 @@ def unbury(
     penumbra_rays: int,
     seed: int,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Light (r, 6), direct and indirect, with that of the `buried` (r,) mended, and the rays it took.
+    """Light (r, 2 c), direct and indirect, with that of the `buried` (r,) mended, and the rays it took.
 
     The array given is changed: copies of it are a large part of what a bake holds.
 

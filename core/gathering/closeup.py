@@ -11,6 +11,7 @@ from collections.abc import Generator
 import numpy as np
 
 from ..form_factors.bright_directions import MOST, BrightDirections, sharpen
+from ..light_groups import whole
 from ..progress import finish
 from ..solvers.patch_solution import PatchSolution
 
@@ -43,10 +44,10 @@ class Closeup:
         values: np.ndarray,
         seed: int,
     ) -> None:
-        """Remember what receivers `who` (n,) of irradiance `values` (n, 3) have seen in the table `rows` (n, N) of an
+        """Remember what receivers `who` (n,) of irradiance `values` (n, c) have seen in the table `rows` (n, N) of an
         even sample taken under their own numbers as names."""
-        self._dim = max(self._dim, DIM * float(values.max(axis=1).mean())) if len(who) else self._dim
-        brightness = self.solution.looked_up()[:, :3].max(axis=1)[rows]
+        self._dim = max(self._dim, DIM * float(whole(values).max(axis=1).mean())) if len(who) else self._dim
+        brightness = whole(self.solution.looked_up()).max(axis=1)[rows]
         bright = brightness > (self.detail * rows.shape[1] * self._levels(values))[:, None]
         self._brightest = max(self._brightest, float(brightness[bright].max(initial=0)))
         self._known.note(who, points, normals, bright, who, seed)
@@ -65,7 +66,7 @@ class Closeup:
         names: np.ndarray,
         seed: int,
     ) -> Generator[float, None, tuple[np.ndarray, int]]:
-        """What rays bring of the irradiance (n, 3) after a close look, or that of the even sample, `values`, where
+        """What rays bring of the irradiance (n, c) after a close look, or that of the even sample, `values`, where
         there is nothing to look at; and the rays it took. For the rest see `sharpen`."""
         solution = self.solution
         chosen = np.flatnonzero(marked.any(axis=1) & (marked.mean(axis=1) <= MOST))
@@ -75,7 +76,7 @@ class Closeup:
         def light_of(rows: np.ndarray) -> np.ndarray:
             if solution.meet(rows):
                 finish(solution.follow())
-            return solution.looked_up()[rows, :3]
+            return solution.looked_up()[rows, :-1]
 
         better, rays = yield from sharpen(
             solution.tracer,
@@ -96,4 +97,4 @@ class Closeup:
         return values, rays
 
     def _levels(self, values: np.ndarray) -> np.ndarray:
-        return np.maximum(values.max(axis=1), self._dim)
+        return np.maximum(whole(values).max(axis=1), self._dim)

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..discretization.nodes import NodeLevel, build_levels, neighbor_table
 from ..form_factors.cached_hemispheres import gather
+from ..light_groups import whole
 from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
@@ -58,7 +59,7 @@ class IndirectSettings:
 
 @dataclass
 class IndirectLight:
-    """Irradiance (r, 3) from patches and sky, which receivers are buried, what it took, what was found to be worth a
+    """Irradiance (r, c) from patches and sky, which receivers are buried, what it took, what was found to be worth a
     close look and by which receivers (r, k) around each, and whether refinement ended before it was done."""
 
     irradiance: np.ndarray
@@ -96,7 +97,7 @@ class _Gatherer:
         self.settings, self.rays = settings, settings.rays
         count = len(receivers)
         self.closeup = Closeup(solution, count, settings.detail)
-        self.values = np.zeros((count, 3), np.float32)
+        self.values = np.zeros((count, solution.columns), np.float32)
         self.traced = np.zeros(count, bool)
         self.dark = np.zeros(count, np.float32)
         self.distances = np.zeros(count, np.float32)
@@ -166,7 +167,7 @@ def indirect_light(
     ----------
     edges : (e, 2) int32
         Receiver edges that cross no wall.
-    direct : (r, 3) float
+    direct : (r, c) float
         Direct light of the receivers.
     deadline : float
         Of `time.perf_counter`; no further level of refinement is started after it.
@@ -209,7 +210,8 @@ def _left_to_see(
     few = np.bincount(finest.clusters, minlength=len(nodes)) <= FEW
     wanted = near & few & ~contacts[nodes]
     if valid.any():
-        bright = (values > BRIGHT * values[valid].mean(axis=0)).any(axis=1)
+        light = whole(values)
+        bright = (light > BRIGHT * light[valid].mean(axis=0)).any(axis=1)
         wanted |= _with_neighbors(finest, bright & near & valid)
     return np.nonzero(wanted[finest.clusters] | find_ends(gatherer.receivers, contacts))[0]
 
@@ -220,23 +222,23 @@ def _keep_own(irradiance: np.ndarray, gatherer: _Gatherer, tolerance: float) -> 
     Where they agree the fit stays: it has less noise than any single hemisphere.
     """
     traced = np.nonzero(gatherer.traced)[0]
-    own = gatherer.values[traced]
-    scale = np.maximum(own, 0.5 * own.mean(axis=0))
-    apart = (np.abs(irradiance[traced] - own) > tolerance * scale).any(axis=1)
+    own, light = gatherer.values[traced], whole(gatherer.values)[traced]
+    scale = np.maximum(light, 0.5 * light.mean(axis=0))
+    apart = (np.abs(whole(irradiance)[traced] - light) > tolerance * scale).any(axis=1)
     irradiance[traced[apart]] = own[apart]
 
 
 def _refine(
     gatherer: _Gatherer, levels: list[NodeLevel], contacts: np.ndarray, settings: IndirectSettings, deadline: float
 ):
-    """Values (k, 3) and validity (k,) of all nodes of the finest level, and whether time ran out."""
+    """Values (k, c) and validity (k,) of all nodes of the finest level, and whether time ran out."""
     receivers = gatherer.receivers
     level = levels[0]
     share = 1 / len(levels)
     yield from shared_progress(gatherer.trace(level.nodes, level.nodes[_two_rings(_joined(level))]), 0.0, share)
     values = gatherer.values[level.nodes]
     valid = gatherer.dark[level.nodes] <= BURIED
-    rough = _contrast(level, values, valid) > settings.tolerance
+    rough = _contrast(level, whole(values), valid) > settings.tolerance
     # A contact within one cell or two has too few around it to see that it changes.
     fewer = (level.neighbors != np.arange(len(level.nodes))[:, None]).sum(axis=1) < 2
     rough |= contacts[level.nodes] & fewer
@@ -263,8 +265,9 @@ def _refine(
         known = gatherer.traced[finer.nodes]
         values = np.where(known[:, None], gatherer.values[finer.nodes], guess)
         valid = np.where(known, gatherer.dark[finer.nodes] <= BURIED, found)
-        scale = np.maximum(values, 0.5 * values[valid].mean(axis=0) if valid.any() else 1)
-        error = (np.abs(values - guess) / np.maximum(scale, 1e-30)).max(axis=1)
+        light = whole(values)
+        scale = np.maximum(light, 0.5 * light[valid].mean(axis=0) if valid.any() else 1)
+        error = (np.abs(light - whole(guess)) / np.maximum(scale, 1e-30)).max(axis=1)
         rough = known & found & (error > settings.tolerance)
         level = finer
     return values, valid, time.perf_counter() > deadline

@@ -17,6 +17,7 @@ from collections.abc import Generator, Sequence
 import numpy as np
 
 from ..keys import row_keys
+from ..light_groups import BANDS
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import BURIED, PatchSolution
 from .looks import look
@@ -33,7 +34,7 @@ def cover_inner_faces(
     solution: PatchSolution, meshes: Sequence[ReceiverMesh], receivers: Receivers, light: np.ndarray, seed: int
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
     """Give receivers of inner faces the mean light of the others at their vertices; which ones (r,) bool, and the rays
-    it took. The array (r, 6) given is changed.
+    it took. The array (r, 2 c) given is changed.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def cover_inner_faces(
     """
     inner = np.zeros(len(receivers), bool)
     vertices, who = _at_vertices(meshes, receivers)
-    level = light.sum(axis=1, dtype=np.float64)
+    level = light[:, : 2 * BANDS].sum(axis=1, dtype=np.float64)
     others = np.bincount(vertices, minlength=1)[vertices] - 1
     around = np.bincount(vertices, weights=level[who], minlength=1)[vertices] - level[who]
     asked = np.unique(who[(others > 0) & (level[who] * others < DIM * around)])
@@ -52,12 +53,13 @@ def cover_inner_faces(
     inner[asked[seen.backs > BURIED]] = True
     lit = ~inner[who]
     shares = np.bincount(vertices[lit], minlength=vertices.max() + 1)
-    sums = [np.bincount(vertices[lit], weights=light[who[lit], k], minlength=len(shares)) for k in range(6)]
+    columns = range(light.shape[1])
+    sums = [np.bincount(vertices[lit], weights=light[who[lit], k], minlength=len(shares)) for k in columns]
     means = np.stack(sums, axis=1) / np.maximum(shares, 1)[:, None]
     given = ~lit & (shares[vertices] > 0)
     counts = np.bincount(who[given], minlength=len(light))
     reached = counts > 0
-    for k in range(6):
+    for k in columns:
         totals = np.bincount(who[given], weights=means[vertices[given], k], minlength=len(light))
         light[reached, k] = totals[reached] / counts[reached]
     return inner, seen.rays

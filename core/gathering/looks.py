@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..form_factors.cached_hemispheres import gather
+from ..light_groups import joined
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
 from ..solvers.patch_solution import BURIED, PatchSolution
@@ -18,9 +19,9 @@ BLOCK = 65536
 
 @dataclass(frozen=True)
 class Look:
-    """What n places saw: `light` (n, 6), direct and indirect irradiance; whether each is `free` (n,) and not buried;
-    the parts `outside` and `backs` (n,) of the rays that met nothing, and surfaces from behind; the harmonic mean
-    `distances` (n,) to what is around, in unit lengths; and the `rays` it took."""
+    """What n places saw: `light` (n, 2 c), direct and indirect irradiance as `light_groups.joined` orders them; whether
+    each is `free` (n,) and not buried; the parts `outside` and `backs` (n,) of the rays that met nothing, and surfaces
+    from behind; the harmonic mean `distances` (n,) to what is around, in unit lengths; and the `rays` it took."""
 
     light: np.ndarray
     free: np.ndarray
@@ -62,11 +63,20 @@ def _look(solution, points, normals, names, rays, penumbra_rays, seed) -> Genera
         yield from solution.follow()
     alone = np.empty((0, 2), np.int32)
     work = direct_light(
-        solution.tracer, solution.lights, points, normals, alone, penumbra_rays, solution.pool, seed, everywhere=True
+        solution.tracer,
+        solution.lights,
+        points,
+        normals,
+        alone,
+        penumbra_rays,
+        solution.pool,
+        seed,
+        everywhere=True,
+        colors=solution.light_colors,
     )
     direct, shadow = yield from shared_progress(work, 0.5, 1.0)
     return {
-        "light": np.concatenate([direct, seen.irradiance(solution.table())], axis=1),
+        "light": joined(direct, seen.irradiance(solution.table())),
         "free": solution.dark_rows()[seen.rows].mean(axis=1) <= BURIED,
         "outside": solution.hits_to_rows.is_outside()[seen.rows].mean(axis=1),
         "backs": solution.hits_to_rows.is_back()[seen.rows].mean(axis=1),

@@ -40,7 +40,7 @@ def mend_misplaced(
     plan: BakePlan,
     seed: int,
 ) -> Generator[float, None, tuple[np.ndarray, Mended]]:
-    """Light (r, 6), direct and indirect, with that of misplaced receivers mended; the array given is changed.
+    """Light (r, 2 c), direct and indirect, with that of misplaced receivers mended; the array given is changed.
 
     Parameters
     ----------

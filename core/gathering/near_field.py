@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..form_factors.cached_hemispheres import Gathered
+from ..light_groups import whole
 from ..progress import shared_progress
 from ..solvers.patch_solution import PatchSolution
 from .near_hits import NearHitsSettings, find_near_hits, gather_near_hits
@@ -40,14 +41,14 @@ def near_field(
     seed: int,
     names: np.ndarray,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Irradiance (n, 3) of receivers whose `arriving` (n, 3) light has been looked up, with what is near asked again;
+    """Irradiance (n, c) of receivers whose `arriving` (n, c) light has been looked up, with what is near asked again;
     and the rays it took. Parameters as of `gather_near_hits`."""
     near = find_near_hits(solution, points, seen, settings.samples)
     in_gap = near.shares > GAP
     beside = near.only(~in_gap)
     work = gather_near_hits(solution, points, normals, seen, beside, arriving, direct, settings, seed, names)
     mended, errors, spent = yield from shared_progress(work, 0.0, 0.4)
-    level = arriving.max(axis=1)
+    level = whole(arriving).max(axis=1)
     # Where the edge of a shadow is near, a few hits lie on either side by chance.
     noisy = np.flatnonzero(errors > settings.noise * np.maximum(level, DIM * level.mean() if len(level) else 0))
     if len(noisy):

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..form_factors.cached_hemispheres import Gathered, chosen_directions, gather
+from ..light_groups import whole
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
 from ..solvers.patch_solution import PatchSolution
@@ -76,7 +77,7 @@ def gather_near_hits(
     seed: int,
     names: np.ndarray,
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray, int]]:
-    """Irradiance (n, 3) float32 of receivers that have `seen` their hemispheres, with what is `near` mended; the
+    """Irradiance (n, c) float32 of receivers that have `seen` their hemispheres, with what is `near` mended; the
     standard error (n,) that the choice of hits leaves in its brightest channel; and the rays it took.
 
     Parameters
@@ -86,9 +87,9 @@ def gather_near_hits(
         By `gather` with the same `seed` and `names` (n,).
     near : NearHits
         Whose near hits to gather again.
-    arriving : (n, 3) float
+    arriving : (n, c) float
         Irradiance as looked up.
-    direct : (n, 3) float
+    direct : (n, c) float
         Direct light at the receivers.
     """
     out, errors, spent = arriving.astype(np.float32), np.zeros(len(points)), 0
@@ -140,6 +141,7 @@ def _gather_block(solution, points, normals, seen, near, arriving, direct, setti
         solution.penumbra_rays,
         solution.pool,
         seed + 2,
+        colors=solution.light_colors,
     )
     lit, shadow = yield from shared_progress(work, 0.6, 1.0)
     count, returned = _returning(solution, points[who], normals[who], places, again)
@@ -148,9 +150,10 @@ def _gather_block(solution, points, normals, seen, near, arriving, direct, setti
     found = np.maximum(np.bincount(who, minlength=len(points)), 1)[:, None]
     reflectance, emitted = solution.reflectances[rows], solution.emitted[rows]
     far = again.irradiance(table) - returned
-    differences = reflectance * (lit + far) + emitted - table[rows, :3]
+    differences = reflectance * (lit + far) + emitted - table[rows, :-1]
     known = _sums(who, differences, len(points)) / found
-    scatter = np.maximum(_sums(who, differences**2, len(points)) / found - known**2, 0).max(axis=1)
+    squares = _sums(who, whole(differences) ** 2, len(points)) / found
+    scatter = np.maximum(squares - whole(known) ** 2, 0).max(axis=1)
     own = _sums(who, reflectance * count, len(points)) / found
     weight = near.shares[:, None]
     mended = (arriving + weight * (known + own * direct)) / (1 - weight * own)
@@ -210,14 +213,14 @@ def _hit_again(solution, points, normals, directions, rows):
 
 
 def _returning(solution, points, normals, places, again):
-    """Of each second gather: mean reflectance (n, 3) over the rays that return to where the receiver stands, zero for
-    the others, and the mean (n, 3) of what these look up but for emission."""
+    """Of each second gather: mean reflectance (n, c) over the rays that return to where the receiver stands, zero for
+    the others, and the mean (n, c) of what these look up but for emission."""
     patches = solution.patches
     middles, sides = patches.points.mean(axis=1), np.sqrt(patches.areas).astype(np.float32)
     distance = np.linalg.norm(places - points, axis=1)
     count, rays = again.rows.shape
-    reflected, looked_up = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
-    table = solution.table()[:, :3]
+    reflected, looked_up = (np.zeros((count, solution.columns), np.float32) for _ in range(2))
+    table = solution.table()[:, :-1]
     reflectances, emitted = solution.reflectances, solution.emitted
     block = max(1, CHUNK_RAYS // rays)
     for start in range(0, count, block):
@@ -238,5 +241,6 @@ def _returning(solution, points, normals, places, again):
 
 
 def _sums(groups: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) sums of values (n, 3) by group."""
-    return np.stack([np.bincount(groups, weights=values[:, i], minlength=count) for i in range(3)], axis=1)
+    """(count, c) sums of values (n, c) by group."""
+    columns = range(values.shape[1])
+    return np.stack([np.bincount(groups, weights=values[:, i], minlength=count) for i in columns], axis=1)

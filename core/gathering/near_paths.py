@@ -22,6 +22,7 @@ import numpy as np
 
 from ..form_factors.cached_hemispheres import VARIANTS, hemisphere_directions, turns_of_names
 from ..frames import turned_frames
+from ..light_groups import repeated, whole
 from ..lights.direct_light import direct_light
 from ..lights.sampling import PLASTIC
 from ..progress import shared_progress
@@ -63,7 +64,7 @@ def reach_of_rows(solution: PatchSolution) -> np.ndarray:
 def follow_paths(
     solution: PatchSolution, points: np.ndarray, normals: np.ndarray, rays: int, names: np.ndarray, seed: int
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """What n receivers' irradiance (n, 3) differs by from what the patches give, and the rays it took.
+    """What n receivers' irradiance (n, c) differs by from what the patches give, and the rays it took.
 
     Parameters
     ----------
@@ -73,8 +74,8 @@ def follow_paths(
     names : (n,) int
         Numbers of the receivers, which turn their directions.
     """
-    count = len(points)
-    out = np.zeros((count, 3))
+    count, columns = len(points), solution.columns
+    out = np.zeros((count, columns))
     if not count:
         return out, 0
     frames = turned_frames(normals, turns_of_names(names, seed + 1)).astype(np.float32, copy=False)
@@ -88,7 +89,7 @@ def follow_paths(
         spent += len(rows)
         if solution.meet(rows):
             yield from solution.follow()
-        table = solution.table()[:, :3]
+        table = solution.table()[:, :-1]
         near = distances < reach[rows]
         if stop == 0:
             reach /= LATER
@@ -97,7 +98,7 @@ def follow_paths(
         else:
             # Not by chance: a furnace would flicker.
             near &= (shares.max(axis=1) > FAINT) & (stop < MAX_STOPS)
-            _add(out, owners[~near], shares[~near] * table[rows[~near]])
+            _add(out, owners[~near], repeated(shares[~near], columns) * table[rows[~near]])
         kept = np.nonzero(near)[0]
         if not len(kept):
             break
@@ -105,8 +106,8 @@ def follow_paths(
         reflectance = solution.reflectances[rows]
         light, cost = yield from _lit(solution, places, facing, seed + stop, stop / (MAX_STOPS + 1))
         spent += cost
-        _add(out, owners, shares * (solution.emitted[rows] + reflectance * light))
-        shares = shares * reflectance
+        _add(out, owners, repeated(shares, columns) * (solution.emitted[rows] + reflectance * light))
+        shares = shares * whole(reflectance)
         lasting = np.nonzero(shares.max(axis=1) > 0)[0]
         if not len(lasting):
             break
@@ -116,7 +117,7 @@ def follow_paths(
 
 
 def _lit(solution: PatchSolution, places: np.ndarray, facing: np.ndarray, seed: int, done: float):
-    """Direct light (n, 3) at the stops of paths, and the rays it took."""
+    """Direct light (n, c) at the stops of paths, and the rays it took."""
     alone = np.empty((0, 2), np.int32)
     work = direct_light(
         solution.tracer,
@@ -129,6 +130,7 @@ def _lit(solution: PatchSolution, places: np.ndarray, facing: np.ndarray, seed: 
         seed,
         everywhere=True,
         most=MOST_LIGHTS,
+        colors=solution.light_colors,
     )
     return (yield from shared_progress(work, done, done + 1 / (MAX_STOPS + 1)))
 
@@ -168,5 +170,5 @@ def _numbers(generator: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _add(out: np.ndarray, owners: np.ndarray, values: np.ndarray) -> None:
-    for channel in range(3):
+    for channel in range(out.shape[1]):
         out[:, channel] += np.bincount(owners, weights=values[:, channel], minlength=len(out))

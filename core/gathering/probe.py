@@ -8,6 +8,7 @@ import numpy as np
 
 from ..bake_plan import BakePlan
 from ..form_factors.cached_hemispheres import gather
+from ..light_groups import total, whole
 from ..lights.direct_light import direct_light
 from ..progress import finish
 from ..solvers.patch_solution import BURIED, PatchSolution
@@ -56,7 +57,16 @@ def probe_error(
     alone = np.empty((0, 2), np.int32)
     lit, rays = finish(
         direct_light(
-            solution.tracer, solution.lights, points, normals, alone, shadow, solution.pool, seed + 1, everywhere=True
+            solution.tracer,
+            solution.lights,
+            points,
+            normals,
+            alone,
+            shadow,
+            solution.pool,
+            seed + 1,
+            everywhere=True,
+            colors=solution.light_colors,
         )
     )
     seen = finish(
@@ -71,8 +81,8 @@ def probe_error(
     work = near_field(solution, points, normals, seen, gathered, lit, near, seed + 7919, names)
     mended, spent = finish(work)
     rays += hemisphere * len(chosen) + closer + spent
-    better = lit + mended
-    baked = light[chosen, :3] + light[chosen, 3:]
+    better = whole(lit) + whole(mended)
+    baked = total(light[chosen])
     free = solution.dark_rows()[seen.rows].mean(axis=1) <= BURIED
     if not free.any():
         return 0.0, rays

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..light_groups import level
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
@@ -226,7 +227,7 @@ def _hidden(tracer: Tracer, receivers: Receivers, owners: np.ndarray, points: np
 def relight_walled_off(
     solution: PatchSolution, walled: WalledOff, light: np.ndarray, buried: np.ndarray, penumbra_rays: int, seed: int
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Give receivers the light behind the wall where theirs (r, 6), direct and indirect, is another; which ones (r,)
+    """Give receivers the light behind the wall where theirs (r, 2 c), direct and indirect, is another; which ones (r,)
     bool were given it, and the rays it took. The array given is changed. What is `buried` (r,) is left alone.
     """
     walled = walled.only(~buried[walled.receivers[walled.owners]])
@@ -236,7 +237,7 @@ def relight_walled_off(
     work = look(solution, points, normals, np.arange(len(points)), RAYS, min(penumbra_rays, PENUMBRA_RAYS), seed)
     seen = yield from work
     arriving, free, outdoors = seen.light[:count], seen.free[:count], seen.outside >= OUTDOORS
-    behind, own = arriving.sum(axis=1), light[here].sum(axis=1)[walled.owners]
+    behind, own = level(arriving), level(light[here])[walled.owners]
     # A hollow among solids is as dark as a dark room, but shows them from behind: no side of the wall either.
     free = free & ~((seen.backs[:count] >= BACKS) & (own > APART * behind))
     darker = free & (own > APART * behind) & (behind > HOLLOW * own)
@@ -263,7 +264,7 @@ def relight_walled_off(
         (glowing, outdoors & (walled.sums(walled.weights * glowing) > LEAST * walled.totals)),
     ):
         given = np.flatnonzero(enough)
-        sums = np.stack([walled.sums(weights * samples * arriving[:, k]) for k in range(6)], axis=1)
+        sums = np.stack([walled.sums(weights * samples * arriving[:, k]) for k in range(light.shape[1])], axis=1)
         light[here[given]] = sums[given] / walled.sums(weights * samples)[given, None]
         moved[here[given]] = True
     return moved, seen.rays

@@ -103,8 +103,9 @@ def direct_light(
     seed: int = 0,
     everywhere: bool = False,
     most: int = MAX_LIGHTS,
+    colors: np.ndarray | None = None,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Irradiance (n, 3) float32 from all lights at n oriented points, and the rays it took.
+    """Irradiance (n, c) float32 from all lights at n oriented points, and the rays it took.
 
     Parameters
     ----------
@@ -119,8 +120,13 @@ def direct_light(
         Send the rays of a penumbra from all points, and no scouts.
     most : int
         Lights that a point asks at most.
+    colors : (l, c) float or None
+        What counts for the color of each light, c being 3 by default: `core.light_groups` has more columns.
     """
-    out = np.zeros((len(points), 3), np.float32)
+    if colors is None:
+        colors = np.array([light.color for light in lights]).reshape(-1, 3)
+    colors = colors.astype(np.float32)
+    out = np.zeros((len(points), colors.shape[1]), np.float32)
     rays = 0
     if not len(points) or not len(lights):
         return out, rays
@@ -148,7 +154,7 @@ def direct_light(
                 yield (number + 0.5 + 0.5 * done) / len(lights)
             seen[doubtful] = more
             rays += penumbra_rays * len(doubtful)
-        out[lit] += (strength * seen)[:, None] * light.color.astype(np.float32)
+        out[lit] += (strength * seen)[:, None] * colors[number]
     return out, rays
 
 

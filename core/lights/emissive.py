@@ -39,7 +39,21 @@ LARGEST_RADIUS = 0.1
 def area_lights(
     vertices: np.ndarray, triangles: np.ndarray, emission: np.ndarray, two_sided: np.ndarray, lamp_power: float
 ) -> tuple[list[AreaLight | MeshLight], np.ndarray]:
-    """Lights made of emissive triangles.
+    """Lights made of emissive triangles, and which triangles those are: see `grouped_area_lights`."""
+    alike = np.zeros(len(triangles), np.int64)
+    lights, sampled, _ = grouped_area_lights(vertices, triangles, emission, two_sided, lamp_power, alike)
+    return lights, sampled
+
+
+def grouped_area_lights(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    emission: np.ndarray,
+    two_sided: np.ndarray,
+    lamp_power: float,
+    light_groups: np.ndarray,
+) -> tuple[list[AreaLight | MeshLight], np.ndarray, np.ndarray]:
+    """Lights made of emissive triangles, none of triangles of two light groups.
 
     Parameters
     ----------
@@ -50,6 +64,7 @@ def area_lights(
     two_sided : (m,) bool
     lamp_power : float
         Power in W of the other lights, brightest channel.
+    light_groups : (m,) int
 
     Returns
     -------
@@ -58,11 +73,14 @@ def area_lights(
         The inside of a closed surface does not shine: what it emits stays there.
     sampled : (m,) bool
         Triangles whose emission these lights stand for.
+    groups : (l,) int
+        Light group of each light.
     """
     sampled = np.zeros(len(triangles), bool)
     emitting = np.nonzero(emission.max(axis=1) > 0)[0]
+    nothing = [], sampled, np.empty(0, np.int64)
     if not len(emitting):
-        return [], sampled
+        return nothing
     corners = np.asarray(vertices, dtype=float)[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     total = areas.sum()
@@ -81,7 +99,7 @@ def area_lights(
     chosen = emitting[kept[looks]]
     sampled[chosen] = True
     if not len(chosen):
-        return [], sampled
+        return nothing
     groups, closed = connected_groups(corners[chosen])
     foreign = np.ones(len(vertices), bool)
     foreign[triangles[chosen]] = False
@@ -91,16 +109,21 @@ def area_lights(
     many = np.bincount(groups) > MANY_TRIANGLES
     few = chosen[~many[groups]]
     lights: list[AreaLight | MeshLight] = []
-    for polygon, triangle in _polygons(corners, triangles, few, emission, two_sided):
+    members: list[int] = []
+    for polygon, triangle in _polygons(corners, triangles, few, emission, two_sided, light_groups):
         lights.append(AreaLight(polygon, emission[triangle].astype(float), bool(two_sided[triangle])))
+        members.append(int(light_groups[triangle]))
     order = np.argsort(groups, kind="stable")
     for group in np.flatnonzero(many):
         start, stop = np.searchsorted(groups[order], [group, group + 1])
         rows = chosen[order[start:stop]]
         for side in (False, True):
-            mine = rows[two_sided[rows] == side]
-            lights += _mesh_lights(corners[mine], emission[mine].astype(float), side)
-    return lights, sampled
+            for member in np.unique(light_groups[rows]):
+                mine = rows[(two_sided[rows] == side) & (light_groups[rows] == member)]
+                found = _mesh_lights(corners[mine], emission[mine].astype(float), side)
+                lights += found
+                members += [int(member)] * len(found)
+    return lights, sampled, np.array(members, dtype=np.int64)
 
 
 def _mesh_lights(corners: np.ndarray, emission: np.ndarray, two_sided: bool) -> list[MeshLight]:
@@ -142,7 +165,7 @@ def _small_pieces(corners: np.ndarray) -> list[np.ndarray]:
     return pieces
 
 
-def _polygons(corners, triangles, chosen, emission, two_sided):
+def _polygons(corners, triangles, chosen, emission, two_sided, light_groups):
     """Polygons of the chosen triangles, convex quads paired up, each with one of its triangles."""
     owner: dict[tuple[int, int], int] = {}
     for row in chosen:
@@ -162,6 +185,8 @@ def _polygons(corners, triangles, chosen, emission, two_sided):
             if mate is None or mate in used:
                 continue
             if not np.array_equal(emission[mate], emission[row]) or two_sided[mate] != two_sided[row]:
+                continue
+            if light_groups[mate] != light_groups[row]:
                 continue
             far = next(int(x) for x in triangles[mate] if int(x) not in edge)
             point = corners[mate][[int(x) for x in triangles[mate]].index(far)]

@@ -122,7 +122,9 @@ class LightTree:
             radius, leaf, distance = self.radii[node], self.children[node] < 0, np.sqrt(square)
             # By how far the node would have to turn, or the receiver to move, before a triangle showed its other side.
             turn = self.spreads[node] + radius / distance
-            slack = turn * distance * self.sizes[node]
+            # A body whose sides cancel to the last bit has no size and no axis: nothing is known of what it shows.
+            known = np.isfinite(turn)
+            slack = np.where(known, np.where(known, turn, 0) * distance * self.sizes[node], np.inf)
             visible = (rise > -radius) & (two_sided | (lean > -slack))
             far = visible & (distance > FAR * radius) & (rise >= radius)
             far &= leaf | (np.abs(lean) > slack) | (turn < SLIGHT)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..light_groups import whole
 from .patch_solution import PatchSolution
 
 #: Luminance weights of Rec. 709.
@@ -43,10 +44,10 @@ def check_patches(solution: PatchSolution) -> PatchChecks:
     areas = solution.open_areas
     dark = solution.dark_rows()
     outside = table.is_outside()
-    luminous = solution.radiosity @ LUMINANCE
-    emitted = solution.emitted @ LUMINANCE
-    irradiance = solution.irradiance @ LUMINANCE
-    given = solution.given() @ LUMINANCE
+    luminous, emitted, irradiance, given = (
+        whole(values) @ LUMINANCE
+        for values in (solution.radiosity, solution.emitted, solution.irradiance, solution.given())
+    )
     beyond = np.zeros(2 * count)
     absorbed = escaped = lit = 0.0
     for rows, _, seen, kept in solution.gathered_sides():

@@ -20,10 +20,12 @@ from ..discretization.patches import POINTS, Patches
 from ..form_factors.bright_directions import MOST, BrightDirections, sharpen
 from ..form_factors.cached_hemispheres import Gathered, HitTable, gather
 from ..form_factors.point_rows import PointExchange
+from ..light_groups import BANDS, repeated, whole
 from ..lights import Light
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
 from ..visibility.embree import CHUNK_RAYS, RayPool, Tracer
+from .fixed_point import fixed_point
 from .reciprocity import SeenRows, two_way_factors
 from .sparse_rows import SparseRows
 
@@ -41,14 +43,8 @@ SMALL = 0.1
 #: Rounds of looking which patches stay enclosed when others turn out not to be; a solid settles in two or three.
 MAX_ROUNDS = 30
 
-#: Bounces at most in one solution.
-MAX_SWEEPS = 200
-
 #: Bounces among backs that only receivers see.
 LATE_BOUNCES = 3
-
-#: Earlier steps that Anderson's acceleration looks back on.
-MEMORY = 8
 
 
 @dataclass
@@ -56,7 +52,7 @@ class _Side:
     """Patches worked on, by k sample points each: rows of the table, their light, and what they see."""
 
     rows: np.ndarray
-    direct: np.ndarray  # (n, k, 3)
+    direct: np.ndarray  # (n, k, c)
     seen: Gathered  # of n * k points
     kept: np.ndarray  # (n, k) bool: not buried
 
@@ -70,18 +66,20 @@ class _Side:
 class PatchSolution:
     """Radiosity of fronts and backs, growing as rays meet new backs.
 
-    `radiosity` (2P, 3) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
-    `irradiance` (2P, 3) is what arrives. The solver stops when a bounce changes the radiosity by less than `tolerance`,
-    RMS by area, relative to the RMS of the radiosity. `detail` is the part of a point's light that a single ray to the
-    sky may carry before its neighborhood is looked at closely. `exchange` is what brings the light of patches to
-    receivers where that is not left to rays.
+    `radiosity` (2P, c) is what a ray gathers: reflected light, and the emission of what is not sampled as a light.
+    `irradiance` (2P, c) is what arrives. There are three columns, and three more for each light group
+    (`core.light_groups`), solved one by one. The solver stops when a bounce changes the radiosity by less than
+    `tolerance`, RMS by area, relative to the RMS of the radiosity. `detail` is the part of a point's light that a
+    single ray to the sky may carry before its neighborhood is looked at closely. `exchange` is what brings the light of
+    patches to receivers where that is not left to rays.
     """
 
     tracer: Tracer
     hits_to_rows: HitTable
     lights: Sequence[Light]
+    light_colors: np.ndarray  # (L, c)
     reflectance: np.ndarray  # (P, 3)
-    emission: np.ndarray  # (P, 3), of patches not sampled as lights
+    emission: np.ndarray  # (P, c), of patches not sampled as lights
     two_sided: np.ndarray  # (P,)
     rays: int
     penumbra_rays: int
@@ -105,7 +103,7 @@ class PatchSolution:
 
     def __post_init__(self) -> None:
         count = self.patches.count
-        self.irradiance = np.zeros((2 * count, 3), np.float32)
+        self.irradiance = np.zeros((2 * count, self.columns), np.float32)
         self.radiosity = self.emitted
         self.active = np.zeros(2 * count, bool)
         self.buried = np.zeros(2 * count, bool)
@@ -119,12 +117,17 @@ class PatchSolution:
         """The patches whose radiosity this is."""
         return self.hits_to_rows.patches
 
+    @property
+    def columns(self) -> int:
+        """Three, and three more for each light group."""
+        return self.emission.shape[1]
+
     def table(self) -> np.ndarray:
-        """(rows, 4) float32, for `Gathered.irradiance`."""
+        """(rows, c + 1) float32, for `Gathered.irradiance`."""
         return self.hits_to_rows.table(self.radiosity)
 
     def looked_up(self) -> np.ndarray:
-        """(rows, 4) float32: the part of the table that rays bring to receivers; `exchange` brings the rest."""
+        """(rows, c + 1) float32: the part of the table that rays bring to receivers; `exchange` brings the rest."""
         return self.table()
 
     def dark_rows(self) -> np.ndarray:
@@ -201,7 +204,17 @@ class PatchSolution:
         normals = self.patches.normals[patch, :each] * np.where(rows < count, 1, -1).astype(np.float32)[:, None, None]
         normals = np.ascontiguousarray(normals.reshape(-1, 3))
         ring = _rings(len(rows), each)
-        work = direct_light(self.tracer, self.lights, points, normals, ring, self.penumbra_rays, self.pool, self.seed)
+        work = direct_light(
+            self.tracer,
+            self.lights,
+            points,
+            normals,
+            ring,
+            self.penumbra_rays,
+            self.pool,
+            self.seed,
+            colors=self.light_colors,
+        )
         direct, rays = yield from shared_progress(work, 0.0, 0.5)
         seed = self.seed + int(rows[0])
         work = gather(self.tracer, self.hits_to_rows, points, normals, self.rays, self.pool, seed)
@@ -209,19 +222,20 @@ class PatchSolution:
         self.rays_traced += rays + self.rays * len(points)
         if self.hits_to_rows.sky is not None:
             yield from shared_progress(self._see_sky(points, normals, seen, direct, seed, each), 0.9, 1.0)
-        self._sides.append(_Side(rows, direct.reshape(-1, each, 3), seen, np.ones((len(rows), each), bool)))
+        self._sides.append(_Side(rows, direct.reshape(-1, each, self.columns), seen, np.ones((len(rows), each), bool)))
         self._met[seen.rows] = True
 
     def _see_sky(self, points, normals, seen: Gathered, direct: np.ndarray, seed: int, each: int):
-        """Where a small part of the sky is seen, look closely, and add to the direct light (n, 3) what the even sample
+        """Where a small part of the sky is seen, look closely, and add to the direct light (n, c) what the even sample
         is wrong by: patches in a room with a window are all that brings its light further in."""
         sky = self.hits_to_rows.table(np.zeros_like(self.radiosity))
         even = seen.irradiance(sky)
-        level = even.max(axis=1) + direct.max(axis=1)
+        level = whole(even).max(axis=1) + whole(direct).max(axis=1)
         if not level.any():
             return
         level = np.maximum(level, level.mean())
-        bright = sky[:, :3].max(axis=1)[seen.rows] > (self.detail * self.rays * level)[:, None]
+        brightness = whole(sky).max(axis=1)
+        bright = brightness[seen.rows] > (self.detail * self.rays * level)[:, None]
         names = np.arange(len(points))
         known = BrightDirections(len(points))
         known.note(names, points, normals, bright, names, seed)
@@ -234,19 +248,19 @@ class PatchSolution:
         values, rays = yield from sharpen(
             self.tracer,
             self.hits_to_rows,
-            lambda rows: sky[rows, :3],
+            lambda rows: sky[rows, :-1],
             points[middles],
             normals[middles],
             seen.rows[middles],
             marked[chosen],
             self.detail * level[middles],
-            float(sky[:, :3].max()),
+            float(brightness.max()),
             middles,
             seed,
             self.pool,
         )
-        patches = direct.reshape(-1, each, 3)
-        patches[chosen] += (values - even.reshape(-1, each, 3)[chosen].mean(axis=1))[:, None]
+        patches = direct.reshape(-1, each, self.columns)
+        patches[chosen] += (values - even.reshape(patches.shape)[chosen].mean(axis=1))[:, None]
         self.rays_traced += rays
 
     def _find_enclosed(self, sides: list[_Side]) -> None:
@@ -259,7 +273,7 @@ class PatchSolution:
         inside[self.hits_to_rows.black_row] = 1
         candidates = []
         for side in sides:
-            unlit = ~(side.direct > 0).any(axis=2) & ~(self.emitted[side.rows] > 0).any(axis=1)[:, None]
+            unlit = ~(whole(side.direct) > 0).any(axis=2) & ~(whole(self.emitted)[side.rows] > 0).any(axis=1)[:, None]
             candidates.append(np.flatnonzero(unlit))
             inside[side.rows[unlit.any(axis=1)]] = 1
         for _ in range(MAX_ROUNDS):
@@ -287,7 +301,7 @@ class PatchSolution:
             side.kept = kept
 
     def given(self) -> np.ndarray:
-        """(2P, 3) irradiance by lamps and sky, which no bounce changes."""
+        """(2P, c) irradiance by lamps and sky, which no bounce changes."""
         out = np.zeros_like(self.irradiance)
         sky = self.hits_to_rows.table(out)
         for side in self._sides:
@@ -295,33 +309,17 @@ class PatchSolution:
         return out
 
     def _iterate(self, tolerance: float) -> Generator[float, None, None]:
-        """Fixed point of B = E + rho (D + F B), by Anderson's acceleration of Jacobi sweeps (Walker and Ni 2011)."""
-        rho = self.reflectances
-        emitted = self.emitted
-        radiosity = self.radiosity
-        given = self.given()
-        steps: list[np.ndarray] = []
-        changes: list[np.ndarray] = []
-        for sweep in range(MAX_SWEEPS):
-            yield sweep / MAX_SWEEPS
-            self.irradiance = given + self.factors.times(radiosity)
-            image = emitted + rho * self.irradiance
-            change = image - radiosity
-            self.sweeps += 1
-            self.residual = self._size(change) / max(self._size(image), 1e-30)
-            if self.residual <= tolerance:
-                radiosity = image
-                break
-            steps.append(image)
-            changes.append(change)
-            radiosity = _accelerated(steps[-MEMORY:], changes[-MEMORY:])
-        self.radiosity = np.maximum(radiosity, 0)
-
-    def _size(self, values: np.ndarray) -> float:
-        """RMS of (2P, 3) values, weighted by area."""
-        areas = self.patches.areas
-        squares = (values.astype(np.float64) ** 2).sum(axis=1)
-        return float(np.sqrt((areas * (squares[: len(areas)] + squares[len(areas) :])).sum()))
+        """Fixed point of B = E + rho (D + F B), the whole and each light group; `sweeps` counts those of the whole, and
+        `residual` is the largest."""
+        given, emitted, rho = self.given(), self.emitted, whole(self.reflectances)
+        for first in range(0, self.columns, BANDS):
+            part = slice(first, first + BANDS)
+            work = fixed_point(self.factors, emitted[:, part], given[:, part], rho, self.patches.areas, tolerance)
+            shares = first / self.columns, (first + BANDS) / self.columns
+            radiosity, irradiance, sweeps, residual = yield from shared_progress(work, *shares)
+            self.radiosity[:, part], self.irradiance[:, part] = radiosity, irradiance
+            self.sweeps += sweeps if first == 0 else 0
+            self.residual = max(self.residual, residual)
 
     @property
     def open_areas(self) -> np.ndarray:
@@ -333,17 +331,17 @@ class PatchSolution:
 
     @property
     def reflectances(self) -> np.ndarray:
-        """(2P, 3) reflectance of fronts and backs; those inside solids are black."""
+        """(2P, c) reflectance of fronts and backs, the same for each group; those inside solids are black."""
         back = self.reflectance * (self.two_sided & ~self.enclosed[self.patches.count :])[:, None]
-        return np.concatenate([self.reflectance, back]).astype(np.float32)
+        return repeated(np.concatenate([self.reflectance, back]).astype(np.float32), self.columns)
 
     @property
     def emitted(self) -> np.ndarray:
-        """(2P, 3) emission of fronts and backs that is not sampled as a light."""
+        """(2P, c) emission of fronts and backs that is not sampled as a light."""
         return np.concatenate([self.emission, self.emission * self.two_sided[:, None]]).astype(np.float32)
 
     def gathered_sides(self) -> Iterator[tuple[np.ndarray, np.ndarray, Gathered, np.ndarray]]:
-        """For each batch worked on: its rows (n,), direct light (n, k, 3), what its points see, and which of them
+        """For each batch worked on: its rows (n,), direct light (n, k, c), what its points see, and which of them
         (n, k) count."""
         for side in self._sides:
             yield side.rows, side.direct, side.seen, side.kept
@@ -354,28 +352,8 @@ class PatchSolution:
         return self.residual <= self.tolerance
 
 
-def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarray:
-    """The mix of the last steps whose changes cancel best, per channel."""
-    if len(steps) == 1:
-        return steps[0]
-    out = np.empty_like(steps[-1])
-    for channel in range(3):
-        last = changes[-1][:, channel].astype(np.float64)
-        differences = np.stack([last - c[:, channel] for c in changes[:-1]])
-        # Normal equations with a small tie: few unknowns, and nearly parallel changes must not blow up. By einsum: a
-        # matrix product of this shape waits for threads longer than it works.
-        normal = np.einsum("ki,li->kl", differences, differences)
-        normal += np.eye(len(normal)) * (1e-10 * np.trace(normal) + 1e-300)
-        mix = np.linalg.solve(normal, np.einsum("ki,i->k", differences, last))
-        mixed = steps[-1][:, channel].astype(np.float64)
-        for weight, step in zip(mix, steps[:-1], strict=True):
-            mixed = mixed + weight * (step[:, channel] - steps[-1][:, channel])
-        out[:, channel] = np.maximum(mixed, 0)
-    return out
-
-
 def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:
-    """(n, 3) irradiance of the patches of one side, means over the points that are not buried."""
+    """(n, c) irradiance of the patches of one side, means over the points that are not buried."""
     arriving = side.direct + side.seen.irradiance(table).reshape(side.direct.shape)
     weight = side.kept / side.kept.sum(axis=1, keepdims=True, dtype=np.float32)
     return np.einsum("npk,np->nk", arriving, weight)

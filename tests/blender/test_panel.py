@@ -10,7 +10,7 @@ from radiosity.addon.panels import bake as bake_panel
 from radiosity.addon.panels.statistics import _rows, wrapped
 from radiosity.addon.properties.progress import ProgressState, duration, state
 
-OPERATORS = ("bake", "stop", "subdivide", "preview_material", "clear")
+OPERATORS = ("bake", "stop", "subdivide", "preview_material", "clear", "mix_groups", "flatten_groups", "update")
 
 
 def test_register_can_be_repeated():

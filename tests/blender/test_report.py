@@ -53,6 +53,7 @@ def test_report_has_all_that_is_promised(baked):
         "world_strength": None,
         "make_single_user": False,
         "show_in_viewport": False,
+        "light_groups": "NONE",
     }
     assert baked["converged"] is True and baked["rays"] > 0 and baked["iterations"] >= 1
     for name in (

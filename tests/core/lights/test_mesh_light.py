@@ -51,6 +51,17 @@ def test_the_tree_sums_the_closed_forms_of_its_triangles(divisions, two_sided):
     assert np.sqrt((error**2).mean()) < 0.01
 
 
+def test_a_body_whose_sides_cancel_exactly_shines():
+    # Of a cube around the origin the vector areas sum to zero to the last bit.
+    vertices, faces, _ = box(divisions=2)
+    corners = (vertices - 0.5)[np.concatenate([faces[:, [0, 2, 1]], faces[:, [0, 3, 2]]])]
+    tree = LightTree.of(corners, np.ones(len(corners)))
+    assert tree.sizes[0] == 0
+    points = 4 * directions_around(40)
+    exact = exact_sum(corners, np.ones(len(corners)), points, -points / 4, False)
+    np.testing.assert_allclose(tree.configuration_factors(points, -points / 4, False), exact, rtol=0.02)
+
+
 def test_a_near_light_is_exact():
     corners = sphere(2)[0][sphere(2)[1]]
     tree = LightTree.of(corners, np.ones(len(corners)))

@@ -193,3 +193,16 @@ def test_mesh_edges_that_cross_a_wall_are_cut(gap):
     assert crossing.sum() == 10
     # A wall that floats above the floor leaves the light on both sides alike.
     np.testing.assert_array_equal(free, ~crossing if gap == 0 else np.ones(len(free), bool))
+
+
+def test_short_side_of_a_long_face_is_cut_by_what_is_low():
+    floor = Thing(np.array([(0.0, 0, 0), (12, 0, 0), (12, 0.4, 0), (0, 0.4, 0)]), np.array([(0, 1, 2, 3)]))
+    plinth = Thing(np.array([(-1.0, 0.2, 0), (1, 0.2, 0), (1, 0.2, 0.1), (-1, 0.2, 0.1)]), np.array([(0, 1, 2, 3)]))
+    scene = scene_of(floor, replace(plinth, receives=False), sky=1.0)
+    _, model = solved_patches(scene)
+    receivers = build_receivers(scene.receivers, model.frame)
+    with RayPool(1) as pool:
+        free = uncut_edges(model.tracer, receivers, pool)
+    ends = model.frame.size * receivers.points[receivers.edges][..., 0] + model.frame.center[0]
+    # The other short side and both long ones are free.
+    np.testing.assert_array_equal(free, ends.max(axis=1) > 1)

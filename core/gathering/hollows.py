@@ -2,7 +2,7 @@
 
 A floor's corner reaches under a pillar, which has no bottom: it does not lie inside a closed solid, for a little light
 finds its way there, but nobody sees it, and its faces would be shaded black towards it. So a corner on a border that is
-much darker than another at the other end of one of its edges, and that sees its surroundings mostly from behind, takes
+darker than another at the other end of one of its edges, and that sees its surroundings mostly from behind, takes
 the mean light of the part of its faces that lies in the open, if that is the larger part, as corners do that a wall
 cuts off (`walled_off`). A hollow need be no higher than a plinth, over which those look.
 
@@ -26,11 +26,13 @@ from .looks import look
 from .receivers import Receivers
 from .snapping import own_surface
 
-#: Part of the light at the other end of an edge, and of that on its faces in the open, below which a corner is dark.
-DARK = 0.1
+#: Part of the light at the other end of an edge, and of that on its faces in the open, below which a corner is dark. A
+#: black wall beside it leaves half.
+DARK = 0.45
 
-#: Part of the view that is surfaces from behind, from which on a dark place is in a hollow. As in verification.
-BACKS = 0.5
+#: Part of the view that is surfaces from behind, from which on a dark place is in a hollow. At its edge it is half, give
+#: or take a ray's breadth.
+BACKS = 0.45
 
 #: Part of a corner's ears, weighted by its share of them, that must lie in the open.
 MOST = 0.5
@@ -89,7 +91,7 @@ def light_hollows(
 
 
 def _darker(receivers: Receivers, level: np.ndarray, settled: np.ndarray) -> np.ndarray:
-    """(n,) receivers on borders much darker than the other end of one of their edges."""
+    """(n,) receivers on borders darker by far than the other end of one of their edges."""
     brightest = np.zeros(len(level), level.dtype)
     for one, other in (receivers.edges.T, receivers.edges.T[::-1]):
         np.maximum.at(brightest, one, np.where(settled[other], 0, level[other]))

@@ -30,8 +30,8 @@ from .snapping import own_surface
 #: black wall beside it leaves half.
 DARK = 0.45
 
-#: Part of the view that is surfaces from behind, from which on a dark place is in a hollow. At its edge it is half, give
-#: or take a ray's breadth.
+#: Part of the view that is surfaces from behind, from which on a dark place is in a hollow. At its edge it is half, but
+#: for a ray's breadth.
 BACKS = 0.45
 
 #: Part of a corner's ears, weighted by its share of them, that must lie in the open.

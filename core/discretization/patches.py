@@ -25,8 +25,9 @@ POINTS = 4
 #: Parts into which the side of a cell is cut that something stands on.
 SPLIT = 4
 
-#: Splitting adds at most this many times the patches wanted.
-GROWTH = 1.5
+#: Splitting adds at most this many times the patches wanted. With half of it, the wall behind a shining window of a
+#: cluttered garage stayed whole, and what it got behind the pane lit the room: an error of 36 % in place of 22.
+GROWTH = 3.0
 
 #: Small triangles stay patches of their own while there are at most this many times the patches wanted: clusters lump
 #: together what lies close, and the inside of a shelf is not lit as its front.

@@ -71,6 +71,12 @@ class IndirectLight:
     is_cut_short: bool = False
 
 
+#: Height above a receiver edge, in sizes of the faces around its ends, up to which what stands there does not cut it,
+#: and the most of it in lengths of the edge: the short side of a long floor passes no step.
+LIFT = 0.02
+MOST_LIFT = 0.05
+
+
 def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarray:
     """(e,) bool: receiver edges along which nothing stands on the surface. Others cross a wall."""
     edges = receivers.edges
@@ -78,7 +84,9 @@ def uncut_edges(tracer: Tracer, receivers: Receivers, pool: RayPool) -> np.ndarr
 
     def work(start: int, stop: int) -> None:
         one, other = edges[start:stop, 0], edges[start:stop, 1]
-        lift = np.float32(0.02) * (receivers.sizes[one] + receivers.sizes[other]) + np.float32(4 * OFFSET)
+        lengths = np.linalg.norm(receivers.points[other] - receivers.points[one], axis=1)
+        lift = np.float32(LIFT) * (receivers.sizes[one] + receivers.sizes[other])
+        lift = np.minimum(lift, np.float32(MOST_LIFT) * lengths) + np.float32(4 * OFFSET)
         begin = receivers.points[one] + lift[:, None] * receivers.normals[one]
         segment = receivers.points[other] + lift[:, None] * receivers.normals[other] - begin
         free[start:stop] = tracer.visibility(begin, segment, 1.0) > 0

@@ -1,7 +1,7 @@
 """Receivers that stand where their light is not wanted, each kind lit from where it is.
 
-Three kinds: those that a wall cuts off from most of their faces (`walled_off`), those inside solids (`burial`), and
-inner faces of meshes that modifiers reshape (`inner_faces`).
+Four kinds: those that a wall cuts off from most of their faces (`walled_off`), those inside solids (`burial`), those
+in hollows among solids (`hollows`), and inner faces of meshes that modifiers reshape (`inner_faces`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ..progress import shared_progress
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import PatchSolution
 from .burial import unbury
+from .hollows import light_hollows
 from .inner_faces import cover_inner_faces
 from .receivers import Receivers
 from .walled_off import WalledOff, relight_walled_off
@@ -52,8 +53,10 @@ def mend_misplaced(
     work = relight_walled_off(solution, walled, light, buried, plan.penumbra_rays, seed)
     relit, rays = yield from shared_progress(work, 0.0, 0.4)
     work = unbury(solution, receivers, light, buried, plan.indirect.rays, plan.penumbra_rays, seed)
-    light, spent = yield from shared_progress(work, 0.4, 0.8)
+    light, spent = yield from shared_progress(work, 0.4, 0.7)
+    work = light_hollows(solution, meshes, receivers, light, buried | relit, plan.penumbra_rays, seed)
+    left, hollow_rays = yield from shared_progress(work, 0.7, 0.8)
     work = cover_inner_faces(solution, meshes, receivers, light, seed)
     inner, inner_rays = yield from shared_progress(work, 0.8, 1.0)
     buried = buried | inner
-    return light, Mended(buried, buried | relit, rays + spent + inner_rays)
+    return light, Mended(buried, buried | relit | left, rays + spent + hollow_rays + inner_rays)

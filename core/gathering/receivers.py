@@ -30,6 +30,10 @@ INSET = 1e-3
 #: a triangle and at half in a square.
 MIDDLE = 0.4
 
+#: Height of a triangle, in lengths of its longer side at a corner, up to which it has no area: a bevel clamped to
+#: nothing leaves some, and float32 vertices a long way from the origin round to so much.
+FLAT = 1e-5
+
 #: Corners or places compared at a time.
 BLOCK = 65536
 
@@ -178,10 +182,12 @@ def _mean_sides(mesh: ReceiverMesh, places: np.ndarray, group: np.ndarray) -> np
         part = slice(start, start + BLOCK)
         sides = places[mesh.corner_vertices[following[part]]] - places[mesh.corner_vertices[part]]
         lengths[part] = np.sqrt(np.einsum("ij,ij->i", sides, sides))
-    # An edge to a broken vertex has no length; its sound end is measured by its other edges.
+    # An edge to a broken vertex has no length, nor has a side between two vertices in one place; their ends are
+    # measured by their other edges.
     lengths[~np.isfinite(lengths)] = 0
     del following
-    return (np.bincount(group, weights=lengths) / np.bincount(group)).astype(np.float32)
+    counts = np.bincount(group, weights=lengths > 0)
+    return (np.bincount(group, weights=lengths) / np.maximum(counts, 1)).astype(np.float32)
 
 
 def _weld(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -227,7 +233,7 @@ def _inward(
         around = [corners, next_corners(mesh)[corners], previous_corners(mesh)[corners]]
         places = frame.to_unit(mesh.positions[mesh.corner_vertices[around]])
         ahead, back = places[1] - places[0], places[2] - places[0]
-        sound = np.isfinite(ahead).all(axis=1) & np.isfinite(back).all(axis=1)
+        sound = np.isfinite(ahead).all(axis=1) & np.isfinite(back).all(axis=1) & ~_empty(mesh, corners, ahead, back)
         corners, ahead, back = corners[sound], ahead[sound], back[sound]
         who = group[corners]
         # The integral of all directions between the two sides: their difference, turned by a right angle.
@@ -247,6 +253,16 @@ def _inward(
         better = score[best] > scores[who[best]]
         arms[who[best[better]]], scores[who[best[better]]] = arm[best[better]], score[best[better]]
     return arms
+
+
+def _empty(mesh: ReceiverMesh, corners: np.ndarray, ahead: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """(n,) bool: corners (n,) of triangles without area, by the sides (n, 3) at them: they lead nowhere. In a face of
+    more corners a straight one is as good as any."""
+    sides = np.diff(mesh.face_offsets)[np.searchsorted(mesh.face_offsets, corners, side="right") - 1]
+    with np.errstate(invalid="ignore"):  # broken vertices are not finite, and left out by the caller
+        across = np.linalg.norm(np.cross(ahead, back), axis=1)
+        longest = np.maximum(np.linalg.norm(ahead, axis=1), np.linalg.norm(back, axis=1))
+        return (sides == 3) & (across <= FLAT * longest**2)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ between two leaves. Light is stored at corners and interpolated over the face, s
 glow, or darken, all over a wall in whose room it is not. Such a corner takes the mean light of the part of its faces
 that it does not see. This is the area-weighted resampling of L. Kavan, A. W. Bargteil, P.-P. Sloan, "Least Squares
 Vertex Baking" (2011), kept to where a vertex sample is worst; a mean and not a fit, so it never leaves the range of
-what was sampled.
+what was sampled. (A plane fitted to the samples and followed to the corner was tried: over the faces of two real houses
+it errs by 1 to 10 % more than the mean, for light falls from a window in no straight line.)
 
 For a corner in the dark, places from which one sees far count for more than those in the gap where it stands: they are
 the ones that are seen.
@@ -32,15 +33,12 @@ from ..light_groups import level
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import PatchSolution
 from ..visibility.embree import CHUNK_RAYS, OFFSET, RayPool, Tracer
+from .ears import around_corners, ears, lattice
 from .looks import look
-from .receivers import BLOCK, Receivers, next_corners, previous_corners
+from .receivers import BLOCK, Receivers
 from .snapping import own_surface
 
-#: Divisions of each side of a face's ear, the triangle of a corner and its two neighbors. A sample is the middle of one
-#: of the triangles this makes, and weighs by area times the corner's own weight there in the interpolation.
-DIVISIONS = 4
-
-#: Part of a corner's faces, weighed so, that must lie behind a wall.
+#: Part of a corner's ears, weighed by its share of them, that must lie behind a wall.
 MOST = 0.5
 
 #: The same where that is enough: for a corner on a border in the dark, and for one outdoors of a strip, a face narrower
@@ -133,15 +131,6 @@ class WalledOff:
         )
 
 
-def _lattice() -> tuple[np.ndarray, np.ndarray]:
-    """Samples (m, 2) of a triangle in lengths of the two sides at its corner, and the corner's weight (m,) there."""
-    one, other = np.meshgrid(np.arange(DIVISIONS), np.arange(DIVISIONS))
-    upright = np.stack([one, other], axis=-1)[one + other < DIVISIONS] + 1 / 3
-    inverted = np.stack([one, other], axis=-1)[one + other < DIVISIONS - 1] + 2 / 3
-    samples = np.concatenate([upright, inverted]) / DIVISIONS
-    return samples, 1 - samples.sum(axis=1)
-
-
 def find_walled_off(
     tracer: Tracer, meshes: Sequence[ReceiverMesh], receivers: Receivers, spacing: float, pool: RayPool
 ) -> WalledOff:
@@ -154,7 +143,7 @@ def find_walled_off(
     spacing : float
         Length of a face's side, in unit lengths, from which on it is looked at: a patch's.
     """
-    lattice, shares = _lattice()
+    samples, shares = lattice()
     total, longest, widest = (np.zeros(len(receivers)) for _ in range(3))
     found = [(np.empty(0, np.int64), np.empty((0, 3), np.float32), np.empty(0))]
     for mesh, who in zip(meshes, receivers.corner_receivers, strict=True):
@@ -162,7 +151,7 @@ def find_walled_off(
             lengths = np.linalg.norm(sides, axis=2).max(axis=1)
             np.maximum.at(longest, owners, lengths)
             np.maximum.at(widest, owners, 2 * areas / lengths)
-            points = (places[:, None] + lattice @ sides).reshape(-1, 3).astype(np.float32)
+            points = (places[:, None] + samples @ sides).reshape(-1, 3).astype(np.float32)
             weights = (areas[:, None] * shares).ravel()
             owners = np.repeat(owners, len(shares))
             total += np.bincount(owners, weights=weights, minlength=len(total))
@@ -193,20 +182,16 @@ def find_walled_off(
 def _ears(mesh: ReceiverMesh, who: np.ndarray, receivers: Receivers, spacing: float):
     """Blocks of the corners looked at, but those that reach inward: receivers (n,), places (n, 3), the two sides
     (n, 2, 3) and the areas (n,) between them."""
-    following, previous = next_corners(mesh), previous_corners(mesh)
     for start in range(0, len(who), BLOCK):
         corners = start + np.flatnonzero(who[start : start + BLOCK] >= 0)
-        around = np.stack([corners, following[corners], previous[corners]], axis=1)
+        around = around_corners(mesh, corners)
         places = mesh.positions[mesh.corner_vertices[around]].astype(np.float64)
+        sides, areas, wanted = ears(places, receivers.normals[who[corners]], mesh.flipped)
         with np.errstate(invalid="ignore"):  # broken vertices are not finite, and no side to them is longer
-            sides = places[:, 1:] - places[:, :1]
-            across = np.cross(sides[:, 0], sides[:, 1])
-            facing = np.einsum("ij,ij->i", across, receivers.normals[who[corners]]) * (-1 if mesh.flipped else 1)
             large = (np.einsum("nij,nij->ni", sides, sides) > spacing**2).any(axis=1)
-            wanted = (large | receivers.borders[who[corners]]) & (facing > 0) & np.isfinite(across).all(axis=1)
+        wanted &= large | receivers.borders[who[corners]]
         if wanted.any():
-            areas = np.linalg.norm(across[wanted], axis=1) / 2
-            yield who[corners[wanted]].astype(np.int64), places[wanted, 0], sides[wanted], areas
+            yield who[corners[wanted]].astype(np.int64), places[wanted, 0], sides[wanted], areas[wanted]
 
 
 def _hidden(tracer: Tracer, receivers: Receivers, owners: np.ndarray, points: np.ndarray, pool: RayPool) -> np.ndarray:

@@ -10,6 +10,7 @@ from radiosity.core.cleaning import clean
 from radiosity.core.discretization.patch_colors import patch_colors
 from radiosity.core.discretization.patches import (
     FREE_TRIANGLES,
+    GROWTH,
     POINTS,
     SPLIT,
     build_patches,
@@ -86,7 +87,7 @@ def test_splitting_keeps_the_area(scene):
     np.testing.assert_allclose(parts.areas.sum(), whole.areas.sum(), rtol=1e-9)
     gone = (parts.splits >= 0).sum()
     assert parts.count == whole.count + SPLIT**2 * gone
-    assert gone <= 1.5 * 800 / SPLIT**2
+    assert gone <= GROWTH * 800 / SPLIT**2
 
 
 @pytest.mark.parametrize("split", [False, True])

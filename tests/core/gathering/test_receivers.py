@@ -182,3 +182,19 @@ def test_normals_by_vertex_say_the_same_as_by_corner():
     for name in ("points", "normals", "sizes", "edges", "borders", "inward"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     np.testing.assert_array_equal(one.corner_receivers[0], other.corner_receivers[0])
+
+
+def test_triangles_without_area_change_nothing():
+    square = Thing(np.array(SQUARE, float), np.array([(0, 1, 2), (0, 2, 3)]))
+    # As a bevel clamped to nothing leaves them: two corners in one place, and three on a line.
+    vertices = np.array([*SQUARE, SQUARE[1], (-0.5, -1.5, 0)], float)
+    slivers = receiver_of(Thing(vertices, np.array([(0, 1, 2), (0, 2, 3), (0, 1, 4), (0, 3, 5)])))
+    normals = np.zeros_like(slivers.corner_normals)
+    normals[:, 2] = 1
+    slivers = replace(slivers, corner_normals=normals)
+    expected, found = (build_receivers([mesh], UNIT) for mesh in (receiver_of(square), slivers))
+    rows, same = expected.corner_receivers[0], found.corner_receivers[0][:6]
+    np.testing.assert_allclose(found.points[same], expected.points[rows], atol=1e-7)
+    np.testing.assert_allclose(found.inward[same], expected.inward[rows], atol=1e-6)
+    # The second corner's sides are the square's and one without length.
+    assert found.sizes[same[1]] == pytest.approx(expected.sizes[rows[1]], rel=1e-6)

@@ -193,3 +193,34 @@ def test_mesh_edges_that_cross_a_wall_are_cut(gap):
     assert crossing.sum() == 10
     # A wall that floats above the floor leaves the light on both sides alike.
     np.testing.assert_array_equal(free, ~crossing if gap == 0 else np.ones(len(free), bool))
+
+
+def test_short_side_of_a_long_face_is_cut_by_what_is_low():
+    floor = Thing(np.array([(0.0, 0, 0), (12, 0, 0), (12, 0.4, 0), (0, 0.4, 0)]), np.array([(0, 1, 2, 3)]))
+    plinth = Thing(np.array([(-1.0, 0.2, 0), (1, 0.2, 0), (1, 0.2, 0.1), (-1, 0.2, 0.1)]), np.array([(0, 1, 2, 3)]))
+    scene = scene_of(floor, replace(plinth, receives=False), sky=1.0)
+    _, model = solved_patches(scene)
+    receivers = build_receivers(scene.receivers, model.frame)
+    with RayPool(1) as pool:
+        free = uncut_edges(model.tracer, receivers, pool)
+    ends = model.frame.size * receivers.points[receivers.edges][..., 0] + model.frame.center[0]
+    # The other short side and both long ones are free.
+    np.testing.assert_array_equal(free, ends.max(axis=1) > 1)
+
+
+def test_clutter_leaves_parts_enough_for_what_stands_behind_a_pane():
+    floor = Thing(np.array([(0.0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)]), np.array([(0, 1, 2, 3)]))
+    pane = Thing(np.array([(1.5, 1.5, 0.02), (2.5, 1.5, 0.02), (2.5, 2.5, 0.02), (1.5, 2.5, 0.02)]), floor.faces)
+    vertices, faces, _ = box((0.2, 0.2, 0.2), 1)
+    places = np.stack(np.meshgrid(*[np.arange(4) * 0.201 + 1.6] * 2, [0.5]), axis=-1).reshape(-1, 1, 3)
+    many = (faces[:, ::-1] + len(vertices) * np.arange(len(places))[:, None, None]).reshape(-1, 4)
+    clutter = Thing((vertices + places).reshape(-1, 3), many, receives=False)
+    solution, model = solved_patches(scene_of(floor, pane, clutter, sky=1.0))
+    patches = solution.patches
+    points = model.frame.size * patches.points + model.frame.center
+    on_floor = (np.abs(points[..., 2]) < 1e-6).all(axis=1) & (patches.areas > 0)
+    covered = (np.abs(points[..., :2] - 2) < 0.5).all(axis=2)
+    astride = on_floor & covered.any(axis=1) & ~covered.all(axis=1)
+    assert astride.sum() > 10
+    whole = patches.areas.max()
+    assert patches.areas[astride].max() < 0.5 * whole

@@ -199,6 +199,24 @@ def test_open_scene_lets_power_escape():
     assert not corner_light(result, "indirect").any(), "a plane does not see itself"
 
 
+@pytest.mark.parametrize("name", ["cie171-5.3-diffuse", "cie171-5.6-s2"])
+def test_points_lit_by_an_area_as_in_cie_171(name):
+    case = FACTORS[name]
+    (source,), _ = polygons_of(case)
+    # Points lie at odd multiples of 0.25 m: vertices of cells of that size.
+    wall = grid([(0, 0, 0), (0, 0, 3), (4, 0, 3), (4, 0, 0)], 12, 16)
+    level = case["elements"][-1]["point"][2]
+    along = [(0, 0, level), (4, 0, level), (4, 4, level), (0, 4, level)]
+    across = grid(along if level == 0 else along[::-1], 16, 16)
+    lit = Thing(source, np.arange(4)[None], 0.3, 0.3, two_sided=False, receives=False)
+    scene = scene_of(lit, *(Thing(*part, 0.0, two_sided=False) for part in (wall, across)))
+    places = np.concatenate([corner_places(scene, mesh) for mesh in range(2)])
+    light = all_light(bake(scene, 0.03)) / 0.3
+    for element, entry in zip(case["elements"], case["expected"], strict=True):
+        here = np.linalg.norm(places - element["point"], axis=1) < 1e-9
+        np.testing.assert_allclose(light[here], entry["F"], rtol=1e-3)
+
+
 # --- published pairs and rooms -------------------------------------------------------------------------------------
 
 OBSTRUCTED = [

@@ -127,6 +127,34 @@ def test_elements_as_patches_are_the_whole_matrix():
     np.testing.assert_allclose(solution.radiosity, whole.radiosity, rtol=1e-6)
 
 
+@pytest.mark.parametrize("sides", [6, 5])
+def test_no_light_is_lost_in_closed_rooms_only(sides):
+    # Sampled rows: those of a closed room are made to sum to 1 on the mean over a patch; those of an open one are not.
+    room = cube()
+    part = core.Environment.from_polygons(room.polygons[:sides], room.reflectance[:sides], room.emission[:sides])
+    solution = core.solve(part, method="two_level", limits=COARSE, accuracy=0.02, factor_method="hemisphere")
+    sums = solution.factors.patch_matrix().sum(axis=1)
+    if sides == 6:
+        np.testing.assert_allclose(sums, 1, rtol=1e-10)
+    else:
+        # The side that is missing is a fifth of what each of the others sees.
+        assert 1 - sums @ solution.factors.patch_areas() / sides == pytest.approx(0.2, abs=0.02)
+
+
+def test_sheets_count_both_sides():
+    # A sheet between a glowing floor and a dark ceiling, and nothing else: both sides share what the lower receives.
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    polygons = [square, square + np.array([0, 0, 0.5]), square[::-1] + np.array([0, 0, 1])]
+    environment = core.Environment.from_polygons(polygons, [0.2, 0.8, 0.4], [1.0, 0.0, 0.0], [False, True, False])
+    limits = SubdivisionLimits(patch_max=1000, patch_min=1000, element_max=500, element_min=500)
+    solution = core.solve(environment, method="two_level", limits=limits, accuracy=3e-3)
+    patches = solution.hierarchy.polygons(solution.hierarchy.patch_nodes)
+    np.testing.assert_allclose(solution.factors.patch_areas(), patches.areas, rtol=1e-12)
+    whole = core.solve(patches, core.form_factors(patches, accuracy=3e-3))
+    # Three standard errors of the factors that light the sheet, in parts of the half of a view that each side has.
+    np.testing.assert_allclose(solution.radiosity, whole.radiosity, rtol=0.04)
+
+
 def test_finer_elements_change_no_patch_much_and_cost_no_larger_system():
     environment = SCENES["two_rooms"]()
     coarse, fine = (

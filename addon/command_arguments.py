@@ -75,7 +75,12 @@ def build_parser(program: str, may_be_open: bool = False) -> argparse.ArgumentPa
     error = bake.add_mutually_exclusive_group()
     error.add_argument("--quality", type=_name, choices=tuple(QUALITY_ACCURACY), help="preset of the accuracy")
     error.add_argument("--accuracy", type=float, metavar="A", help="relative error to aim for, 0.02 is 2 %%")
-    bake.add_argument("--method", type=_name, choices=METHODS, help="how the exchange of light is found")
+    bake.add_argument(
+        "--method",
+        type=_name,
+        choices=METHODS,
+        help="how the exchange of light is found; contour_integral has no shadows of its own, rays add them",
+    )
     bake.add_argument("--solver", type=_name, choices=SOLVERS, help="how the bounces are summed")
     bake.add_argument("--attribute", metavar="NAME", help="color attribute to write")
     bake.add_argument("--domain", type=_name, choices=("corner", "point"), help="where colors are stored")

@@ -25,6 +25,9 @@ PATCHES, LEAST_PATCHES, MOST_PATCHES = 100, 60, 250
 #: Polygons beyond which no matrix is tried: the slowest methods take some 10 minutes for so many.
 MOST_POLYGONS = 3000
 
+#: Bytes of one factor of the matrix; a bake holds a few such arrays at a time.
+FACTOR_BYTES = 8
+
 #: Error of the worst form factor, as a share of the accuracy of the light: factors of small patches are themselves only
 #: so large, and errors of many even out.
 FACTOR_SHARE = 1.0
@@ -64,11 +67,17 @@ def check_size(patches: Patches, settings: BakeSettings) -> None:
     polygons = PatchPolygons.count_of(patches)
     if has_name(settings) and polygons > MOST_POLYGONS:
         raise SceneTooLargeError(
-            f"Form factors by {chosen_names(settings)} between {polygons:,} polygons would be {polygons**2:,}, and "
-            f"{MOST_POLYGONS:,} polygons are the limit: choose {_remedy(settings)}, or bake fewer and plainer objects"
+            f"Form factors by {chosen_names(settings)} between {polygons:,} polygons would be {polygons**2:,}, "
+            f"{_megabytes(polygons)}, and {MOST_POLYGONS:,} polygons, {_megabytes(MOST_POLYGONS)}, are the limit: "
+            f"choose {_remedy(settings)}, or bake fewer and plainer objects"
         )
 
 
 def _remedy(settings: BakeSettings) -> str:
     kinds = (("method", settings.method), ("solver", settings.solver))
     return " and ".join(f"{kind} auto (--{kind} auto)" for kind, name in kinds if name != "auto")
+
+
+def _megabytes(polygons: int) -> str:
+    """Size of the matrix between so many polygons, for messages."""
+    return f"{polygons**2 * FACTOR_BYTES / 1e6:,.0f} MB"

@@ -6,10 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from radiosity.core import bake as module
 from radiosity.core.bake import BakeResult, bake_steps
+from radiosity.core.bake_plan import plan_for
+from radiosity.core.cleaning import clean
+from radiosity.core.matrix_plan import has_name, matrix_plan
 from radiosity.core.progress import finish
 from radiosity.core.scene import ReceiverMesh, Scene, Sky, Surfaces
 from radiosity.core.settings import BakeSettings
+from radiosity.core.visibility.embree import Frame, RayPool
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,21 @@ def _fan(faces: np.ndarray) -> np.ndarray:
 def bake(scene: Scene, accuracy: float = 0.1, threads: int = 1, **settings) -> BakeResult:
     """Bake to the end; coarse and on one thread unless asked otherwise."""
     return finish(bake_steps(scene, BakeSettings(accuracy=accuracy, threads=threads, **settings)))
+
+
+def solved_patches(scene: Scene, accuracy: float = 0.1, **settings):
+    """The patch solution of a scene, on one thread, and its model."""
+    cleaned, plan = clean(scene.surfaces), plan_for(accuracy)
+    settings = BakeSettings(accuracy=accuracy, **settings)
+    if has_name(settings):
+        plan = matrix_plan(plan, accuracy)
+    frame = Frame.around(cleaned.surfaces.vertices)
+    surfaces = replace(cleaned.surfaces, vertices=module._moved(cleaned.surfaces.vertices, frame))
+    with RayPool(1) as pool:
+        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
+        solution = module._patch_solution(model, scene, plan, settings, pool)
+        finish(solution.solve())
+    return solution, model
 
 
 def corner_light(result: BakeResult, bake_type: str = "lighting", mesh: int = 0) -> np.ndarray:

@@ -54,13 +54,14 @@ _METHOD_TEXTS = {
                          "rays add"),
 }  # fmt: skip
 _SOLVER_TEXTS = {
-    "auto": ("Automatic", "Choose the solver that suits the scene"),
-    "direct": ("Direct", "Elimination: exact, for few patches"),
-    "jacobi": ("Jacobi", "All patches gather at once, bounce by bounce"),
-    "gauss_seidel": ("Gauss-Seidel", "Patches gather one after the other: about half the bounces of Jacobi"),
-    "gmres": ("GMRES", "The best mix of all bounces so far: for bright rooms"),
-    "progressive_refinement": ("Progressive Refinement", "The brightest patches shoot first (Cohen 1988)"),
-}
+    "auto": ("Automatic", "Choose the solver that suits the scene: no matrix, unless a method asks for one"),
+    "direct": ("Direct", "Elimination: exact, in a time that grows with the cube of the patches"),
+    "jacobi": ("Jacobi", "All patches gather at once: a product with the matrix per bounce, many in bright rooms"),
+    "gauss_seidel": ("Gauss-Seidel", "Patches gather one after the other: half the bounces of Jacobi, each slower"),
+    "gmres": ("GMRES", "The best mix of all bounces so far: the fewest products, for many patches and bright rooms"),
+    "progressive_refinement": ("Progressive Refinement", "The brightest patches shoot first (Cohen 1988): quick to a "
+                               "first look, slowest to the end"),
+}  # fmt: skip
 
 
 def _name_items(names, texts):

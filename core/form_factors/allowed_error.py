@@ -5,16 +5,15 @@ An `accuracy` of a says that a factor above 10 a is right to the share a of itse
 many small factors is as good as what it receives from few large ones, and none is asked for a share that is lost in
 the sum of its row.
 
-Methods that sample state standard errors. They aim at `AIM` of what is allowed, so that about one factor in a hundred
-differs by more than twice of it. Exact methods ignore it.
+Methods that sample pair by pair (contour integral, point to polygon and the hybrid among blockers) state standard
+errors and aim at `AIM` of what is allowed, so that about one factor in a hundred differs by more than twice of it. Row
+by row, and by disks or point to point, one absolute error still holds for all factors of a row (`matrix`), which no
+factor's allowed error exceeds.
 """
 
 from __future__ import annotations
 
 import numpy as np
-
-#: Default `accuracy` of form factors.
-DEFAULT_ACCURACY = 5e-3
 
 #: Standard error at which sampling stops, as a share of the allowed error: 2 / 0.7 = 2.9 standard errors of a normal
 #: distribution leave 0.4 % outside of twice the allowed error, the heavier tails of few repetitions about 1 %.
@@ -27,8 +26,3 @@ SMALL = 10.0
 def allowed_error(factors: np.ndarray | float, accuracy: float) -> np.ndarray | float:
     """Error allowed for each factor, in the shape of `factors`: ``accuracy * max(F, 10 accuracy)``."""
     return accuracy * np.maximum(factors, SMALL * accuracy)
-
-
-def excess(errors: np.ndarray, factors: np.ndarray, accuracy: float) -> np.ndarray:
-    """How many times each standard error exceeds the one to aim at; sampling stops where none is above 1."""
-    return errors / (AIM * allowed_error(factors, accuracy))

@@ -19,9 +19,10 @@ import numpy as np
 
 from ..environment import Environment
 from .clipped_quadrature import ClippedQuadrature
-from .contour_integral import blockable_faces, contour_rows
-from .faces import Faces
+from .contour_integral import contour_rows
+from .faces import Faces, smaller_first
 from .hemisphere import SampledRows, hemisphere_rows
+from .pair_rows import blockable_faces
 
 #: Accuracy from which on the contour integral samples pairs that are far apart, with bounded error. Exact factors cost
 #: three times as much.
@@ -119,8 +120,7 @@ def _clipped(environment, free, blocked, accuracy):
     areas = environment.areas
     first, second = np.nonzero(np.triu(blocked))
     # Points go to the smaller patch, whose factor is the larger one: reciprocity carries it over, with less error.
-    swap = areas[first] > areas[second]
-    receivers, sources = np.where(swap, second, first), np.where(swap, first, second)
+    receivers, sources = smaller_first(areas, first, second)
     quadrature = ClippedQuadrature(environment)
     values, changes = quadrature.pairs(receivers, sources, np.full(len(receivers), accuracy))
     matrix, errors, losses = free.matrix.copy(), free.errors.copy(), np.zeros(len(environment))

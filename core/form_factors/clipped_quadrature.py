@@ -33,6 +33,7 @@ from ..visibility.zbuffer import ranges
 from .clipped_cells import EXACT_SHARE, Cells, Pairs, Totals, affordable
 from .contour_integral import ROUNDING, contour_sums
 from .critical_lines import critical_lines
+from .faces import smaller_first
 from .hemisphere import SampledRows
 from .plane_clipping import clip_loops
 from .triangle_cells import NULL_WEIGHTS, RULE_POINTS, RULE_WEIGHTS, areas, divide, fans
@@ -317,8 +318,7 @@ def clipped_rows(environment, visibility, accuracy, seed=0, threads=0) -> Sample
     first, second = np.triu_indices(count, 1)
     areas = environment.areas
     # Points go to the smaller patch, whose factor is the larger one: reciprocity carries it over, with less error.
-    swap = areas[first] > areas[second]
-    receivers, sources = np.where(swap, second, first), np.where(swap, first, second)
+    receivers, sources = smaller_first(areas, first, second)
     values, changes = quadrature.pairs(receivers, sources, np.full(len(receivers), accuracy))
     matrix, errors = np.zeros((count, count)), np.zeros(count)
     matrix[receivers, sources] = values

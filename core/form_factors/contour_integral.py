@@ -21,13 +21,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..environment import Environment
-from ..visibility.blockable import blockable
 from ..visibility.segments import make_visibility
 from .edge_integrals import EXACT as EDGE_EXACT
 from .edge_integrals import PERPENDICULAR, edge_integrals
 from .faces import Faces
 from .hemisphere import SampledRows
+from .pair_rows import pair_rows
 from .plane_clipping import clip_loops
+from .segment_samples import SegmentSamples
 from .separated_pairs import (
     GREATEST_RATIO,
     center_rule,
@@ -37,10 +38,8 @@ from .separated_pairs import (
     orders_for,
     outline_ratios,
 )
-from .visible_share import visible_shares
 
-#: Entries of the matrix culled at once, and pairs worked on at once: temporaries stay below 100 MB.
-BLOCK_ENTRIES = 2**18
+#: Pairs worked on at once: temporaries stay below 100 MB.
 BLOCK_PAIRS = 2**13
 BLOCK_EDGES = 2**17
 
@@ -116,54 +115,20 @@ def contour_rows(environment, visibility="none", accuracy=1e-3, seed=0, threads=
         If the visibility is unknown.
     """
     faces = Faces(environment)
-    count, areas = len(environment), environment.areas
-    exchange, errors = np.zeros((count, count)), np.zeros(count)
+
+    def unoccluded(rows, columns, wanted):
+        return face_block(faces, rows, columns, accuracy if fast else 0.0, wanted)
+
     sight = None if visibility == "none" else make_visibility(visibility, environment, threads)
-    columns = np.arange(len(faces))
-    step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
-    blocked = blockable_faces(faces) if sight is not None else None
-    for begin in range(0, len(faces), step):
-        rows, rest = columns[begin : begin + step], columns[begin:]
-        values, worst = face_block(faces, rows, rest, accuracy if fast else 0.0, rest > rows[:, None])
-        if sight is not None:
-            here, there = np.nonzero((values > 0) & blocked[rows[0] : rows[-1] + 1, begin:])
-            smaller = np.minimum(faces.areas[rows[here]], faces.areas[rest[there]])
-            factors = values[here, there] / smaller
-            shares, scatter = visible_shares(
-                environment, faces, rows[here], rest[there], factors, sight, accuracy, (seed, begin)
-            )
-            values[here, there] *= shares
-            worst[here, there] += scatter
-        # Each pair was computed once; it counts for both.
-        np.add.at(exchange, (faces.owners[rows][:, None], faces.owners[rest]), values)
-        np.maximum.at(errors, faces.owners[rows], worst.max(axis=1))
-        np.maximum.at(errors, faces.owners[rest], worst.max(axis=0))
-    exchange += exchange.T
-    matrix = np.minimum(exchange / np.where(areas > 0, areas, 1)[:, None], 1)
-    return SampledRows(
-        matrix=matrix,
-        escaped=np.maximum(1 - matrix.sum(axis=1), 0),
-        errors=errors,
-        samples=np.ones(count, dtype=np.int64),
-        rays=0 if sight is None else sight.rays,
-        leaks=np.zeros(count),
-    )
+    samples = None if sight is None else SegmentSamples(environment, faces, sight)
+    return pair_rows(environment, faces, unoccluded, samples, accuracy, seed)
 
 
-def blockable_faces(faces: Faces) -> np.ndarray:
-    """(f, f) bool: pairs of faces that something may stand between."""
-    step = max(1, BLOCK_ENTRIES // max(len(faces), 1))
-    everything = np.arange(len(faces))
-    low, high, tolerance = (np.empty((len(faces), len(faces))) for _ in range(3))
-    for begin in range(0, len(faces), step):
-        rows = everything[begin : begin + step]
-        low[rows], high[rows] = faces.height_ranges(rows, everything)
-        tolerance[rows] = faces.tolerance(rows[:, None], everything)
-    return blockable(low, high, tolerance)
+def face_block(faces, rows, columns, accuracy, wanted=True, near=NEAR):
+    """Exchange areas (r, c) of wanted pairs, and bounds of the error of the factor of the smaller one.
 
-
-def face_block(faces, rows, columns, accuracy, wanted=True):
-    """Exchange areas (r, c) of wanted pairs, and bounds of the error of the factor of the smaller one."""
+    Up to the ratio `near` pairs that lie apart take the mean rule, a closed form from points.
+    """
     tolerance = faces.tolerance(rows[:, None], columns)
     low, high = faces.height_ranges(rows, columns)
     other_low, other_high = (array.T for array in faces.height_ranges(columns, rows))
@@ -177,11 +142,13 @@ def face_block(faces, rows, columns, accuracy, wanted=True):
     first, second = np.nonzero(seen)
     for begin in range(0, len(first), BLOCK_PAIRS):
         chosen = first[begin : begin + BLOCK_PAIRS], second[begin : begin + BLOCK_PAIRS]
-        values[chosen], errors[chosen] = exchanges(faces, rows[chosen[0]], columns[chosen[1]], accuracy)
+        values[chosen], errors[chosen] = exchanges(faces, rows[chosen[0]], columns[chosen[1]], accuracy, near)
     return values, errors
 
 
-def exchanges(faces: Faces, first: np.ndarray, second: np.ndarray, accuracy: float) -> tuple[np.ndarray, np.ndarray]:
+def exchanges(
+    faces: Faces, first: np.ndarray, second: np.ndarray, accuracy: float, near: float = NEAR
+) -> tuple[np.ndarray, np.ndarray]:
     """Exchange areas ``A_1 F_12`` (m,) of pairs of faces, and bounds (m,) of the error of the smaller one's factor.
 
     With accuracy 0 they are exact.
@@ -190,11 +157,11 @@ def exchanges(faces: Faces, first: np.ndarray, second: np.ndarray, accuracy: flo
     keys = faces.sizes[first] * (faces.sizes.max(initial=0) + 1) + faces.sizes[second]
     for key in np.unique(keys):
         chosen = np.flatnonzero(keys == key)
-        values[chosen], errors[chosen] = _class_exchanges(faces, first[chosen], second[chosen], accuracy)
+        values[chosen], errors[chosen] = _class_exchanges(faces, first[chosen], second[chosen], accuracy, near)
     return values, errors
 
 
-def _class_exchanges(faces, first, second, accuracy):
+def _class_exchanges(faces, first, second, accuracy, near):
     """`exchanges` of pairs whose loops have the same two lengths."""
     shifts = (faces.centers[second] - faces.centers[first])[:, None]
     loops, others = faces.loops(first), faces.loops(second) + shifts
@@ -211,11 +178,13 @@ def _class_exchanges(faces, first, second, accuracy):
     values[far], errors[far] = four_point(faces, first[far], second[far]), bounds[sampled]
     rows = rows[~sampled]
     values[rows], errors[rows] = _outline_exchanges(
-        faces, first[rows], second[rows], loops[rows], others[rows], accuracy
+        faces, first[rows], second[rows], loops[rows], others[rows], accuracy, near
     )
     rows = np.flatnonzero(seen & ~whole)
     parts, other_parts = clip_loops(loops[rows], other_heights[rows]), clip_loops(others[rows], heights[rows])
-    values[rows], errors[rows] = _outline_exchanges(faces, first[rows], second[rows], parts, other_parts, accuracy)
+    values[rows], errors[rows] = _outline_exchanges(
+        faces, first[rows], second[rows], parts, other_parts, accuracy, near
+    )
     return np.maximum(values, 0), errors
 
 
@@ -225,7 +194,7 @@ def _heights(loops, normals, tolerance):
     return np.where(np.abs(heights) > tolerance, heights, 0)
 
 
-def _outline_exchanges(faces, first, second, loops, others, accuracy):
+def _outline_exchanges(faces, first, second, loops, others, accuracy, greatest_ratio):
     """`exchanges` of loops in front of each other, both relative to the centers of `first`.
 
     The loops may be parts of the faces.
@@ -236,7 +205,7 @@ def _outline_exchanges(faces, first, second, loops, others, accuracy):
     there = outline_ratios(loops, shifts, faces.radii[second])
     ratios = np.minimum(here, there)
     values, errors = np.zeros(len(first)), np.full(len(first), SHARE * accuracy)
-    near = ratios > NEAR
+    near = ratios > greatest_ratio
     rows = np.flatnonzero(near)
     values[rows], rounding = contour_sums(loops[rows], others[rows], SHARE * accuracy * smaller[rows])
     errors[rows] += rounding / smaller[rows]

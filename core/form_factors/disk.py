@@ -23,9 +23,9 @@ from ..environment import Environment
 from ..errors import SettingsError
 from ..visibility.segments import make_visibility
 from .cells import Cells
-from .contour_integral import blockable_faces
 from .faces import Faces
 from .hemisphere import SampledRows
+from .pair_rows import blockable_faces
 from .point_rows import PointRows
 from .receivers import Receivers, face_cells, patch_rows
 

@@ -101,6 +101,15 @@ class Faces:
         return PLANE_TOLERANCE * (self.radii[faces] + self.radii[others]) + self.rounding
 
 
+def smaller_first(areas: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each pair (m,) and (m,) with the one of smaller area first, as given where both are alike.
+
+    From the smaller one fewer points see all there is of the other, and reciprocity carries the factor over.
+    """
+    swap = areas[first] > areas[second]
+    return np.where(swap, second, first), np.where(swap, first, second)
+
+
 def _length_classes(lengths):
     beyond = -(-lengths // CLASSES[-1]) * CLASSES[-1]
     return np.where(lengths > CLASSES[-1], beyond, CLASSES[np.searchsorted(CLASSES, np.minimum(lengths, CLASSES[-1]))])

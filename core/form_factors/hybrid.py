@@ -16,21 +16,23 @@ each point and blocked source. Limits: a blocker that falls between all tests of
 
 from __future__ import annotations
 
-import logging
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..environment import Environment
 from ..errors import SettingsError
-from ..visibility.segments import make_visibility
+from ..visibility.segments import Visibility, make_visibility
 from .cells import Cells
-from .contour_integral import blockable_faces, exchanges
-from .faces import Faces
+from .contour_integral import face_block
+from .faces import Faces, smaller_first
 from .hemisphere import SampledRows
+from .pair_rows import pair_rows
 from .plane_clipping import clip_loops
 from .point_rows import PointRows
 from .point_to_polygon import lambert_sum
-from .receivers import Receivers, face_cells
+from .receivers import FaceCells, face_cells
+from .sampling import PatchSampler, kronecker_points, kronecker_steps
 
 #: Kinds of detection, and the visibility each uses.
 DETECTIONS = {"item_buffer": "zbuffer", "rays": "embree"}
@@ -38,14 +40,23 @@ DETECTIONS = {"item_buffer": "zbuffer", "rays": "embree"}
 #: Pixels along a side of the item buffer: pieces are tested exactly against what these show.
 RESOLUTION = 64
 
-#: Independent repetitions, and cuts along each side of a receiver's cells in successive rounds.
-REPETITIONS = 6
-ROUNDS = (1, 2, 4, 8)
+#: Points of the receiver, levels of quartering before a piece may be called wholly visible or hidden, and at most, for
+#: about so many segments of a pair as `visible_share` asks for. A piece of the last level that is still mixed counts by
+#: the share of its tests that pass.
+POINTS_AND_LEVELS = (
+    (2, 1, 0, 1),
+    (8, 1, 1, 2),
+    (32, 2, 2, 3),
+    (128, 2, 3, 3),
+    (512, 8, 3, 3),
+    (2048, 32, 3, 3),
+    (8192, 128, 3, 3),
+    (32768, 512, 3, 3),
+)
 
-#: Levels of quartering before a piece may be called wholly visible or hidden, and at most. A piece of the last level
-#: that is still mixed counts by the share of its tests that pass.
-LEAST_LEVEL = 3
-MOST_LEVEL = 3
+#: Steps by which the places of tests are turned from point to point, and from quarter to quarter: of two sequences, so
+#: that points and quarters together do not come back to the same places.
+POINT_TURN, QUARTER_TURN = kronecker_steps(2), kronecker_steps(3)[:2]
 
 #: Levels more for sources that are near or bright.
 MORE_LEVELS = 1
@@ -59,10 +70,6 @@ BRIGHT = 0.1
 #: Share of its size by which the tested corners of a piece lie within it: its border may be a blocker's foot.
 INWARD = 0.02
 
-#: Standard error aimed at, as a share of the accuracy asked for: the largest deviation of some hundred factors, at
-#: three of it, is then still well within.
-GOAL = 0.12
-
 #: Points times pieces in hand at once.
 BLOCK_PIECES = 2**16
 
@@ -71,8 +78,6 @@ BLOCK_PIECES = 2**16
 POINT_LEVELS = 4
 POINT_SHARE = 0.05
 UNTESTED = 0.5
-
-logger = logging.getLogger(__name__)
 
 
 def hybrid_rows(
@@ -114,97 +119,106 @@ def hybrid_rows(
     if detection is not None and detection not in DETECTIONS:
         raise SettingsError(f"Unknown detection {detection!r}: choose {', '.join(DETECTIONS)}")
     faces = Faces(environment)
-    count, total = len(faces), len(environment)
     name = DETECTIONS.get(detection, visibility)
     options = {"resolution": RESOLUTION} if name == "zbuffer" else {}
     sight = make_visibility(name, environment, threads, **options)
-    here, there = np.nonzero(np.triu(np.ones((count, count), bool), 1))
-    values, errors = exchanges(faces, here, there, 0.0)
-    exchange, worst = np.zeros((count, count)), np.zeros((count, count))
-    exchange[here, there], worst[here, there] = values, errors
-    exchange, worst = exchange + exchange.T, worst + worst.T
-    # From the smaller face the other's shadow is sharper, and its points lie closer together.
-    smaller = faces.areas[:, None] <= faces.areas
-    smaller[smaller & smaller.T] = np.triu(np.ones((count, count), bool), 1)[smaller & smaller.T]
-    wanted = blockable_faces(faces) & (exchange > 0) & smaller
-    shares, scatter = _shares(environment, faces, wanted, exchange / faces.areas[:, None], sight, accuracy, seed)
-    shares = np.where(wanted.T, shares.T, shares)
-    worst += np.where(wanted.T, scatter.T, scatter)
-    areas, matrix, row_errors = environment.areas, np.zeros((total, total)), np.zeros(total)
-    np.add.at(matrix, (faces.owners[:, None], faces.owners), exchange * shares)
-    np.maximum.at(row_errors, faces.owners, worst.max(axis=1, initial=0))
-    matrix = np.minimum(matrix / np.where(areas > 0, areas, 1)[:, None], 1)
-    escaped = np.maximum(1 - matrix.sum(axis=1), 0)
-    return SampledRows(matrix, escaped, row_errors, np.ones(total, dtype=np.int64), sight.rays, np.zeros(total))
+
+    def unoccluded(rows, columns, wanted):
+        return face_block(faces, rows, columns, 0.0, wanted)
+
+    return pair_rows(environment, faces, unoccluded, PieceSamples(environment, faces, sight), accuracy, seed)
 
 
-def _shares(environment, faces, wanted, factors, sight, accuracy, seed):
-    """Visible share (f, f) of wanted pairs, row the receiver, and the standard error of its factor; 1 elsewhere."""
-    cells = face_cells(environment, faces)
-    levels = _levels(environment, faces)
-    shares, scatter = np.ones(wanted.shape), np.zeros(wanted.shape)
-    pending = wanted.copy()
-    for number, parts in enumerate(ROUNDS):
-        rows = np.flatnonzero(pending.any(axis=1))
-        if not len(rows):
-            break
-        samples = np.ones((REPETITIONS, *wanted.shape))
-        for repetition in range(REPETITIONS):
-            generator = np.random.default_rng((seed, number, repetition))
-            receivers = Receivers.on(cells, faces, rows, parts, generator)
-            samples[repetition][rows] = _visible(receivers, rows, faces, cells, pending, levels, sight, generator)
-        shares[pending] = samples.mean(axis=0)[pending]
-        error = factors * samples.std(axis=0, ddof=1) / np.sqrt(REPETITIONS)
-        scatter[pending] = error[pending]
-        pending &= error > GOAL * accuracy
-    if scatter.max(initial=0) > accuracy:
-        logger.warning("Form factors are accurate to %.2g only, not %.2g: sample limit", scatter.max(), accuracy)
-    return shares, scatter
+class PieceSamples:
+    """Pieces of one face seen from points of the other, as of `visible_share.Samples`.
 
+    The points are on the smaller face: from it the other's shadow is sharper, and they lie closer together.
 
-def _levels(environment, faces):
-    """Levels of quartering (f, f) that each column's face may take, as seen from the row's.
-
-    Reciprocity carries the factor over, so the bright source may be either of the two.
+    Parameters
+    ----------
+    environment : Environment
+        Its emission tells which sources are bright.
+    faces : Faces
+        Its faces.
+    visibility : Visibility
     """
-    power = (environment.emission.max(axis=1) * environment.areas)[faces.owners]
-    bright = (power > 0) & (power >= BRIGHT * power.max(initial=0))
-    apart = np.linalg.norm(faces.centers[:, None] - faces.centers, axis=2)
-    near = apart < NEAR * faces.radii
-    return MOST_LEVEL + MORE_LEVELS * (near | bright | bright[:, None])
 
+    def __init__(self, environment: Environment, faces: Faces, visibility: Visibility):
+        self.faces, self.visibility = faces, visibility
+        self.sampler = PatchSampler(environment)
+        self.cells = FaceCells(environment, faces)
+        power = (environment.emission.max(axis=1) * environment.areas)[faces.owners]
+        self.bright = (power > 0) & (power >= BRIGHT * power.max(initial=0))
 
-def _visible(receivers, rows, faces, cells, pending, levels, sight, generator):
-    """Visible share (r, f) of what the rows' points get from each pending face, weighted by the closed form."""
-    shape = (len(rows), len(faces))
-    seen, whole = np.zeros(shape), np.zeros(shape)
-    step = max(1, BLOCK_PIECES // (len(cells) * 4 ** (MOST_LEVEL + MORE_LEVELS) // 8 + 1))
-    for begin in range(0, len(receivers.points), step):
-        size = len(receivers.points[begin : begin + step])
-        which = np.repeat(np.arange(begin, begin + size), len(cells))
-        cell = np.tile(np.arange(len(cells)), size)
-        kept = pending[rows[receivers.rows[which]], cells.patches[cell]]
-        which, work = which[kept], cells[cell[kept]]
-        for level in range(MOST_LEVEL + MORE_LEVELS + 1):
-            if not len(which):
+    def __call__(
+        self, first: np.ndarray, second: np.ndarray, count: int, shifts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of what is visible and of all, (m,) each: see `Samples`."""
+        faces = self.faces
+        first, second = smaller_first(faces.areas, first, second)
+        number, least, most = next(row[1:] for row in POINTS_AND_LEVELS if count <= row[0])
+        # Reciprocity carries the factor over, so the bright source may be either of the two.
+        apart = np.linalg.norm(faces.centers[first] - faces.centers[second], axis=1)
+        near = apart < NEAR * faces.radii[second]
+        last = most + MORE_LEVELS * (near | self.bright[first] | self.bright[second])
+        seen, whole = np.zeros((2, len(first)))
+        step = max(1, BLOCK_PIECES // (number * 4**least))
+        for begin in range(0, len(first), step):
+            part = slice(begin, begin + step)
+            square = (kronecker_points(number, 2) + shifts[part, None, :2]) % 1
+            points = self.sampler(faces.owners[first[part]], square).reshape(-1, 3)
+            pair = np.repeat(np.arange(len(square)), number)
+            which, cells = self.cells.of(second[part][pair])
+            turns = (shifts[part, 2:][pair] + np.outer(np.arange(len(points)) % number, POINT_TURN)) % 1
+            work = _Pieces(which, cells, turns[which])
+            sums = self._cut(work, points, faces.normals[first[part]][pair], least, last[part][pair])
+            for total, found in zip((seen, whole), sums, strict=True):
+                total[part] = found.reshape(-1, number).sum(axis=1)
+        return seen, whole
+
+    def _cut(self, work, points, normals, least, last):
+        """What each point (n,) sees of its pieces, and the whole of them; `last` (n,) is the level of the finest."""
+        seen, whole = np.zeros((2, len(points)))
+        for level in range(last.max(initial=0) + 1):
+            factors = piece_factors(points[work.which], normals[work.which], work.cells)
+            rows = np.flatnonzero(factors > 0)
+            work, factors = work.take(rows), factors[rows]
+            if not len(rows):
                 break
-            factors = piece_factors(receivers.points[which], receivers.normals[which], work)
-            done = factors == 0
-            passed = np.zeros(len(which))
-            if level >= LEAST_LEVEL:
-                open_ = np.flatnonzero(~done)
-                passed[open_] = _seen_ends(receivers.points[which[open_]], work[open_], sight)
-                done |= (passed == 0) | (passed == 1)
-                last = level >= levels[rows[receivers.rows[which]], work.patches]
-                mixed = np.flatnonzero(~done & last)
-                passed[mixed] = _seen_quarters(receivers.points[which[mixed]], work[mixed], sight, generator)
-                done |= last
-            keys = receivers.rows[which[done]] * shape[1] + work.patches[done]
-            weights = receivers.weights[which[done]] * factors[done]
-            whole += np.bincount(keys, weights, whole.size).reshape(shape)
-            seen += np.bincount(keys, weights * passed[done], whole.size).reshape(shape)
-            which, work = np.repeat(which[~done], 4), work[~done].divided(2)
-    return np.where(whole > 0, seen / np.where(whole > 0, whole, 1), 1)
+            done, passed = np.zeros(len(rows), bool), np.zeros(len(rows))
+            if level >= least:
+                passed = _seen_ends(points[work.which], work.cells, self.visibility)
+                done = (passed == 0) | (passed == 1) | (level >= last[work.which])
+                mixed = np.flatnonzero(done & (passed > 0) & (passed < 1))
+                passed[mixed] = _seen_quarters(
+                    points[work.which[mixed]], work.cells[mixed], self.visibility, work.places[mixed]
+                )
+            whole += np.bincount(work.which[done], factors[done], len(points))
+            seen += np.bincount(work.which[done], factors[done] * passed[done], len(points))
+            work = work.quartered(np.flatnonzero(~done))
+        return seen, whole
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of sources, the point that each is seen from, and numbers (w, 2) from 0 to 1 that choose places on it."""
+
+    which: np.ndarray
+    cells: Cells
+    places: np.ndarray
+
+    def take(self, rows):
+        """Some of the pieces."""
+        return _Pieces(self.which[rows], self.cells[rows], self.places[rows])
+
+    def quartered(self, rows):
+        """Some of the pieces, each in four."""
+        turns = np.tile(np.outer(np.arange(4), QUARTER_TURN), (len(rows), 1))
+        return _Pieces(
+            np.repeat(self.which[rows], 4),
+            self.cells[rows].divided(2),
+            (np.repeat(4 * self.places[rows], 4, axis=0) + turns) % 1,
+        )
 
 
 def _seen_ends(points, pieces, sight):
@@ -218,10 +232,11 @@ def _seen_ends(points, pieces, sight):
     return seen.reshape(-1, len(square)).mean(axis=1)
 
 
-def _seen_quarters(points, pieces, sight, generator):
-    """Share (w,) of the quarters of each piece that its point sees, each at a random place."""
+def _seen_quarters(points, pieces, sight, places):
+    """Share (w,) of the quarters of each piece that its point sees, each at a random place (w, 2) from 0 to 1."""
     quarters = pieces.divided(2)
-    targets = quarters.points(generator.random((len(quarters), 2)))
+    turns = np.tile(np.outer(np.arange(4), QUARTER_TURN), (len(pieces), 1))
+    targets = quarters.points((np.repeat(places, 4, axis=0) + turns) % 1)
     return sight.visible(np.repeat(points, 4, axis=0), targets).reshape(-1, 4).mean(axis=1)
 
 
@@ -287,7 +302,7 @@ def hybrid_points(
             if level == POINT_LEVELS:
                 done[:] = True
             mixed = np.flatnonzero(done & ~even)
-            passed[mixed] = _seen_quarters(points[which[mixed]], work[mixed], sight, generator)
+            passed[mixed] = _seen_quarters(points[which[mixed]], work[mixed], sight, generator.random((len(mixed), 2)))
             out += np.bincount(keys[done], factors[done] * passed[done], len(out))
             which, keys, work = np.repeat(which[~done], 4), np.repeat(keys[~done], 4), work[~done].divided(2)
             if not len(which):

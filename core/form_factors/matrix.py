@@ -177,7 +177,8 @@ def form_factors(
         ``auto``, or one of the method's own: ``embree`` for rays, ``zbuffer`` for projections, ``bsp`` or
         ``silhouettes`` for exact tests, ``brute_force``; ``none`` where nothing can occlude.
     accuracy : float
-        Error wanted for the worst factor, as an absolute number; a standard error where rays are cast.
+        Error wanted for the worst factor, as an absolute number; a standard error where rays are cast. Contour
+        integral, point to polygon and the hybrid hold each factor to less, its own `allowed_error`.
     seed : int
         Same input and seed give the same matrix.
     threads : int

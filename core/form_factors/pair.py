@@ -64,8 +64,8 @@ def form_factor(
     method : str
         ``auto`` or one of `PAIR_METHODS`.
     accuracy : float
-        Error wanted, as an absolute number; a standard error where rays are cast. ``hemicube`` keeps it as a part of
-        the factor.
+        Error wanted, as an absolute number; where point_to_polygon casts rays, a standard error within
+        `allowed_error`, which is less. ``hemicube`` keeps it as a part of the factor.
     seed : int
     visibility : str
         ``auto``, which clips exactly where blockers are few; ``embree`` for rays; ``bsp`` for exact clipping with
@@ -109,7 +109,7 @@ def form_factor(
         factors, _ = ClippedQuadrature(environment).pairs([receiver], [source], np.array([accuracy / scale]))
         factor = factors[0]
     elif len(environment) > 2:
-        factor, _, _ = sampled_pair(environment, receiver, source, accuracy / scale, seed)
+        factor, _, _ = sampled_pair(environment, receiver, source, accuracy, seed)
     else:
         factor, _ = integrate_pair(environment, receiver, source, accuracy / scale)
     return float(min(max(factor * scale, 0.0), 1.0))
@@ -138,7 +138,7 @@ def configuration_factor(
     method : str
         ``auto`` or one of `POINT_METHODS`.
     accuracy : float
-        Standard error wanted, as an absolute number, where there are blockers; exact without, and with ``bsp``.
+        Standard error wanted where rays are cast among blockers, by `allowed_error`; exact without, and with ``bsp``.
         ``hemicube`` keeps it as a part of the factor, with blockers or without.
     seed : int
     visibility : str

@@ -30,6 +30,7 @@ from ..errors import SettingsError
 from ..visibility.convex_loops import is_convex, pad
 from ..visibility.segments import make_visibility
 from ..visibility.silhouettes import SilhouetteVisibility
+from .faces import smaller_first
 from .hemisphere import SampledRows
 from .point_rows import PointRows
 
@@ -336,8 +337,7 @@ class _Integrator:
             first.append(np.full(len(second[-1]), row))
         first, second = np.concatenate([*first, []]).astype(int), np.concatenate([*second, []]).astype(int)
         areas = self.environment.areas[self.patches]
-        swap = areas[first] > areas[second]
-        return np.where(swap, second, first), np.where(swap, first, second)
+        return smaller_first(areas, first, second)
 
     def shaded(self, receivers, sources):
         """(p,) bool: whether something may stand between pairs of quadrilaterals."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..environment import Environment
+from ..visibility.zbuffer import ranges
 from .cells import Cells
 from .faces import Faces
 from .hemisphere import SampledRows
@@ -69,6 +70,21 @@ def face_cells(environment: Environment, faces: Faces) -> Cells:
         np.concatenate((cells.triangular, behind.triangular)),
         np.concatenate((front[cells.patches], back[behind.patches])),
     )
+
+
+class FaceCells:
+    """Cells of faces, found by face."""
+
+    def __init__(self, environment: Environment, faces: Faces):
+        cells = face_cells(environment, faces)
+        self.cells = cells[np.argsort(cells.patches, kind="stable")]
+        self.counts = np.bincount(cells.patches, minlength=len(faces))
+        self.starts = np.cumsum(self.counts) - self.counts
+
+    def of(self, faces: np.ndarray) -> tuple[np.ndarray, Cells]:
+        """Place (c,) in `faces` (m,) that each cell belongs to, ascending, and the cells."""
+        which, rows = ranges(self.starts[faces], self.counts[faces])
+        return which, self.cells[rows]
 
 
 def patch_rows(environment: Environment, faces: Faces, values, errors, used, rays: int) -> SampledRows:

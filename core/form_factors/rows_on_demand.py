@@ -5,8 +5,7 @@ need factors to patches only, and none among themselves. `rows_on_demand` gives 
 does the same for other polygons that lie on them.
 
 Rows are as computed, each by itself: reciprocity and closure, which are repaired in whole matrices, hold up to the
-accuracy only. A row does not depend on which others are asked for, or when; but the random places of
-``point_to_polygon`` among blockers are those of all rows that are computed together.
+accuracy only. A row does not depend on which others are asked for, or when.
 
 =================  ============================================  =====================
 method             a row costs                                   receivers other than
@@ -17,7 +16,7 @@ hemicube           its projections                               yes
 single_plane       its projections                               yes
 contour_integral   n contours, and segments where visibility     yes
                    is asked for
-point_to_polygon   n integrals                                   yes, but with ``bsp``
+point_to_polygon   n integrals, and segments as above            yes, but with ``bsp``
 point_to_point     the whole matrix, once                        no
 disk               the whole matrix, once                        no
 hybrid             the whole matrix, once                        no
@@ -38,13 +37,15 @@ from ..errors import SettingsError
 from ..visibility.segments import make_visibility
 from .automatic import FAST_ACCURACY, FAST_SHARE, MOST_PATCHES
 from .clipped_quadrature import ClippedQuadrature
-from .contour_integral import BLOCK_ENTRIES, blockable_faces, face_block
-from .faces import Faces
+from .contour_integral import NEAR, face_block
+from .faces import Faces, smaller_first
 from .hemicube import hemicubes
 from .hemisphere import FALLS, RowCaster
 from .matrix import check_accuracy, find_method, form_factors
+from .pair_rows import BLOCK_ENTRIES, blockable_faces
 from .projection import ProjectedRows
-from .quadrature import QuadratureRows
+from .segment_samples import SegmentSamples
+from .separated_pairs import GREATEST_RATIO
 from .single_plane import single_planes
 from .visible_share import visible_shares
 
@@ -186,16 +187,14 @@ def _single_plane(environment, visibility, accuracy, seed, threads, **options):
 
 
 def _point_to_polygon(environment, visibility, accuracy, seed, threads):
-    source = QuadratureRows(environment, visibility, threads)
-
-    def of(receivers):
-        others = source.of_receivers(receivers.environment, receivers.names, receivers.patches)
-        return others.refined(np.arange(len(receivers.names)), accuracy, seed)[0]
-
-    return lambda patches: source.refined(patches, accuracy, seed)[0], of
+    return _pairwise(environment, visibility, accuracy, seed, threads, 0.0, GREATEST_RATIO)
 
 
 def _contour_integral(environment, visibility, accuracy, seed, threads, fast=False):
+    return _pairwise(environment, visibility, accuracy, seed, threads, accuracy if fast else 0.0, NEAR)
+
+
+def _pairwise(environment, visibility, accuracy, seed, threads, allowed, near):
     sight = None if visibility == "none" else make_visibility(visibility, environment, threads)
     usable = np.flatnonzero(environment.areas > 0)
     targets = _part(environment, usable)
@@ -212,15 +211,16 @@ def _contour_integral(environment, visibility, accuracy, seed, threads, fast=Fal
         both = _joined(senders, targets)
         faces = Faces(both)
         here, there = (np.flatnonzero(side) for side in (faces.owners < len(names), faces.owners >= len(names)))
-        values = face_block(faces, here, there, accuracy if fast else 0.0)[0]
+        values = face_block(faces, here, there, allowed, near=near)[0]
         if sight is not None:
+            samples = SegmentSamples(both, faces, sight)
             # Row by row, so that each has random places of its own.
             for row, face in enumerate(here):
                 lit = np.flatnonzero(values[row])
                 pairs = np.full(len(lit), face), there[lit]
                 factors = values[row, lit] / np.minimum(faces.areas[face], faces.areas[there[lit]])
                 key = (seed, int(names[faces.owners[face]]))
-                values[row, lit] *= visible_shares(both, faces, *pairs, factors, sight, accuracy, key)[0]
+                values[row, lit] *= visible_shares(samples, *pairs, factors, accuracy, key)[0]
         rows = np.zeros((len(names), len(usable)))
         np.add.at(rows, (faces.owners[here][:, None], faces.owners[there] - len(names)), values)
         return np.minimum(rows / senders.areas[:, None], 1)
@@ -245,8 +245,7 @@ def _clipped(environment, accuracy):
         areas = environment.areas
         # Points go to the smaller patch, ties to the lower number, as in the matrix; reciprocity carries over.
         first, second = np.minimum(rows, columns), np.maximum(rows, columns)
-        swap = areas[first] > areas[second]
-        receivers, sources = np.where(swap, second, first), np.where(swap, first, second)
+        receivers, sources = smaller_first(areas, first, second)
         asked = rows != columns
         factors = np.zeros(len(rows))
         factors[asked] = quadrature.pairs(receivers[asked], sources[asked], np.full(int(asked.sum()), accuracy))[0]

@@ -12,8 +12,8 @@ import numpy as np
 from ..environment import Environment
 
 
-def kronecker_points(count: int, dimensions: int) -> np.ndarray:
-    """(count, dimensions) points in the unit cube: multiples of powers of a generalized golden ratio, modulo 1.
+def kronecker_steps(dimensions: int) -> np.ndarray:
+    """(dimensions,) powers of a generalized golden ratio, whose multiples modulo 1 fill the unit cube evenly.
 
     The ratio g is the root of ``g^(d + 1) = g + 1``; for one dimension it is the golden ratio itself.
 
@@ -24,8 +24,21 @@ def kronecker_points(count: int, dimensions: int) -> np.ndarray:
     ratio = 1.5
     for _ in range(60):
         ratio = (1 + ratio) ** (1 / (dimensions + 1))
-    steps = (1 / ratio) ** np.arange(1, dimensions + 1)
-    return (0.5 + np.arange(count)[:, None] * steps) % 1
+    return (1 / ratio) ** np.arange(1, dimensions + 1)
+
+
+def kronecker_points(count: int, dimensions: int) -> np.ndarray:
+    """(count, dimensions) points in the unit cube: multiples of `kronecker_steps`, modulo 1."""
+    return (0.5 + np.arange(count)[:, None] * kronecker_steps(dimensions)) % 1
+
+
+def points_in_triangles(triangles: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Points (..., 3) spread evenly over triangles (..., 3, 3), from (..., 2) numbers between 0 and 1."""
+    root = np.sqrt(square[..., :1])
+    second = root * square[..., 1:]
+    first = root - second
+    a, b, c = (triangles[..., i, :] for i in range(3))
+    return a + first * (b - a) + second * (c - a)
 
 
 class PatchSampler:
@@ -53,16 +66,30 @@ class PatchSampler:
 
         Patches must have triangles.
         """
+        triangles, _, inner = self.triangles(patches, square)
+        return points_in_triangles(triangles, inner)
+
+    def triangles(self, patches: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Triangles (p, s, 3, 3) chosen by their areas, and points of the unit square to choose places on them with.
+
+        Parameters
+        ----------
+        patches : (p,) int
+        square : (p, s, 2) float
+
+        Returns
+        -------
+        triangles : (p, s, 3, 3) float64
+        shares : (p, s) float64
+            Of the patch's area.
+        square : (p, s, 2) float64
+        """
         key = patches[:, None] + square[:, :, 0]
         low = self.starts[patches][:, None]
         rows = np.clip(np.searchsorted(self.ends, key, side="right"), low, low + self.counts[patches][:, None] - 1)
         # The share of the first number that chose the triangle is stretched to choose the place in it.
         inner = 1 - (self.ends[rows] - key) / np.maximum(self.shares[rows], 1e-300)
-        root = np.sqrt(inner.clip(0, 1))
-        second = root * square[:, :, 1]
-        first = root - second
-        a, b, c = (self.corners[rows, i] for i in range(3))
-        return a + first[..., None] * (b - a) + second[..., None] * (c - a)
+        return self.corners[rows], self.shares[rows], np.stack((inner.clip(0, 1), square[:, :, 1]), axis=2)
 
 
 def frames(normals: np.ndarray) -> np.ndarray:

@@ -8,8 +8,7 @@ from radiosity.core.gathering.near_paths import follow_paths, reach_of_rows
 from radiosity.core.lights import SunLight
 from radiosity.core.progress import finish
 
-from tests.bakes import Thing, bake, corner_light, corner_places, scene_of
-from tests.core.solvers.test_patch_solution import solved
+from tests.bakes import Thing, bake, corner_light, corner_places, scene_of, solved_patches
 from tests.scenes import furnace_box, grid
 
 FLOOR = np.array([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], dtype=float)
@@ -38,7 +37,7 @@ def test_gap_under_a_plate_is_as_dark_as_in_closed_form(gap):
 
 @pytest.mark.parametrize("reflectance", [0.5, 0.9])
 def test_nothing_is_added_where_light_is_even(reflectance):
-    solution, _ = solved(furnace_box(reflectance=reflectance))
+    solution, _ = solved_patches(furnace_box(reflectance=reflectance))
     points = np.array([[0.0, 0.0, -0.49], [0.3, 0.1, 0.2]], np.float32)
     points[0, 2] = solution.patches.points[:, 0, 2].min()
     normals = np.tile(np.array([0, 0, 1], np.float32), (2, 1))
@@ -48,7 +47,7 @@ def test_nothing_is_added_where_light_is_even(reflectance):
 
 
 def test_reach_is_that_of_the_patch_and_none_for_what_is_black():
-    solution, _ = solved(furnace_box())
+    solution, _ = solved_patches(furnace_box())
     reach, count = reach_of_rows(solution), solution.patches.count
     np.testing.assert_allclose(reach[:count], module.REACH * np.sqrt(solution.patches.areas), rtol=1e-6)
     np.testing.assert_array_equal(reach[:count], reach[count : 2 * count])

@@ -6,8 +6,8 @@ from radiosity.core.lights import PointLight
 from radiosity.core.progress import finish
 from radiosity.core.solvers.patch_checks import LUMINANCE, check_patches
 
-from tests.bakes import Thing, scene_of
-from tests.core.solvers.test_patch_solution import dense_of, solved
+from tests.bakes import Thing, scene_of, solved_patches
+from tests.core.solvers.test_patch_solution import dense_of
 from tests.scenes import box, inward_sphere
 
 WHITE = 0.8
@@ -37,7 +37,7 @@ def holed_sphere(cover=None):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_leaves_through_a_hole_has_escaped(seed):
     scene, hole = holed_sphere()
-    checks = check_patches(solved(scene, 0.03, seed)[0])
+    checks = check_patches(solved_patches(scene, 0.03, seed=seed)[0])
     # All points of a sphere see all of it alike, so each bounce loses the same share through the hole.
     expected = WHITE * hole / (1 - WHITE * (1 - hole))
     assert expected > 0.2
@@ -48,7 +48,7 @@ def test_what_leaves_through_a_hole_has_escaped(seed):
 
 def test_what_a_black_back_takes_is_absorbed():
     scene, _ = holed_sphere(cover={"two_sided": False})
-    checks = check_patches(solved(scene, 0.03)[0])
+    checks = check_patches(solved_patches(scene, 0.03)[0])
     assert checks.light_escaped == 0
     assert checks.light_absorbed == pytest.approx(1, abs=BALANCE)
     assert checks.energy_balance_error < BALANCE
@@ -86,7 +86,7 @@ def test_patches_partly_inside_solids_keep_the_balance(seed):
         place = np.array([(number % 4 + 0.5) / 4, (number // 4 + 0.5) / 4, -0.1])
         things.append(Thing((block - np.array([0.075, 0.075, 0])) @ turn + place, sides[:, ::-1], WHITE))
     scene = scene_of(*things, lights=[PointLight(np.array([0.5, 0.5, 0.8]), np.ones(3))])
-    solution, _ = solved(scene, 0.3, seed)
+    solution, _ = solved_patches(scene, 0.3, seed=seed)
     count = solution.patches.count
     share = solution.open_areas[:count] / np.where(solution.patches.areas > 0, solution.patches.areas, 1)
     assert ((share > 0) & (share < 1)).sum() > 20
@@ -102,7 +102,7 @@ def test_patches_partly_inside_solids_keep_the_balance(seed):
 
 
 def test_light_that_reaches_nobody_is_an_error_and_nothing_else():
-    solution, _ = solved(holed_sphere()[0], 0.03)
+    solution, _ = solved_patches(holed_sphere()[0], 0.03)
     before = check_patches(solution)
     given = solution.given()
     between = solution.irradiance - given

@@ -4,33 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radiosity.core import bake as module
-from radiosity.core.bake_plan import plan_for
-from radiosity.core.cleaning import clean
 from radiosity.core.gathering.indirect_light import uncut_edges
 from radiosity.core.gathering.receivers import build_receivers
 from radiosity.core.lights import PointLight
-from radiosity.core.progress import finish
-from radiosity.core.settings import BakeSettings
 from radiosity.core.solvers.patch_checks import check_patches
 from radiosity.core.solvers.reciprocity import SeenRows
-from radiosity.core.visibility.embree import Frame, RayPool
+from radiosity.core.visibility.embree import RayPool
 
-from tests.bakes import Thing, scene_of
+from tests.bakes import Thing, scene_of, solved_patches
 from tests.scenes import box, cornell_box, furnace_box, grid, inward_sphere
-
-
-def solved(scene, accuracy=0.1, seed=0):
-    """The patch solution of a scene, and its model."""
-    cleaned = clean(scene.surfaces)
-    frame = Frame.around(cleaned.surfaces.vertices)
-    surfaces = replace(cleaned.surfaces, vertices=(cleaned.surfaces.vertices - frame.center) / frame.size)
-    plan, settings = plan_for(accuracy), BakeSettings(accuracy=accuracy, seed=seed)
-    with RayPool(1) as pool:
-        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
-        solution = module._patch_solution(model, scene, plan, settings, pool)
-        finish(solution.solve())
-    return solution, model
 
 
 def dense_of(matrix):
@@ -94,7 +76,7 @@ def fixed_point(solution, sweeps=2000):
 
 @pytest.mark.parametrize("make", [cornell_box, lambda: furnace_box(reflectance=0.9)], ids=["cornell", "furnace"])
 def test_accelerated_solution_is_the_fixed_point_of_plain_sweeps(make):
-    solution, _ = solved(make())
+    solution, _ = solved_patches(make())
     exact = fixed_point(solution)
     areas = np.tile(solution.patches.areas, 2)[:, None]
     error = np.sqrt((areas * (solution.radiosity - exact) ** 2).sum() / (areas * exact**2).sum())
@@ -106,7 +88,7 @@ def test_accelerated_solution_is_the_fixed_point_of_plain_sweeps(make):
 
 
 def test_nearly_perfect_reflectance_converges():
-    solution, _ = solved(furnace_box(reflectance=0.999))
+    solution, _ = solved_patches(furnace_box(reflectance=0.999))
     assert solution.converged
     fronts = solution.radiosity[: solution.patches.count][solution.patches.areas > 0]
     # The published furnace's fine level.
@@ -124,7 +106,7 @@ def test_sphere_of_many_colors_has_even_irradiance():
     surfaces = replace(surfaces, materials=np.arange(len(surfaces.triangles), dtype=np.int32))
     # All emit about alike, so all is left to the hemispheres: one look of emission would be a light.
     surfaces.emission[:] = 1.0
-    solution, _ = solved(replace(scene, surfaces=surfaces), 0.03)
+    solution, _ = solved_patches(replace(scene, surfaces=surfaces), 0.03)
     corners = surfaces.vertices[surfaces.triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     expected = 1 / (1 - areas @ surfaces.reflectance / areas.sum())
@@ -136,7 +118,7 @@ def test_sphere_of_many_colors_has_even_irradiance():
 
 
 def test_closed_room_keeps_the_balance_and_open_one_lets_go():
-    closed = check_patches(solved(cornell_box())[0])
+    closed = check_patches(solved_patches(cornell_box())[0])
     assert closed.light_escaped == 0
     assert closed.light_absorbed == pytest.approx(1, abs=0.02)
     # Factors are float32, and their roundings mostly cancel in a group.
@@ -144,21 +126,21 @@ def test_closed_room_keeps_the_balance_and_open_one_lets_go():
     assert closed.reciprocity_error_max < 0.1
     vertices, faces, sides = box(divisions=4)
     lamp = PointLight(np.full(3, 0.5), np.ones(3))
-    opened = check_patches(solved(scene_of(Thing(vertices, faces[sides != 5], 0.5), lights=[lamp]))[0])
+    opened = check_patches(solved_patches(scene_of(Thing(vertices, faces[sides != 5], 0.5), lights=[lamp]))[0])
     assert 0.05 < opened.light_escaped < 0.6
     assert opened.light_absorbed + opened.light_escaped == pytest.approx(1, abs=0.02)
     assert opened.energy_balance_error < 0.02
 
 
 def test_backs_are_worked_on_only_where_they_are_met():
-    room, _ = solved(cornell_box())
+    room, _ = solved_patches(cornell_box())
     count = room.patches.count
     assert room.active[:count][room.patches.areas > 0].all()
     # Blocks stand open on the floor: its points below them meet their inside; nothing meets the room's outside.
     outside = np.abs(room.patches.points[:, 0]).max(axis=1) > 0.5 - 1e-6
     assert not room.active[count:][outside].any()
     plate = Thing(*grid([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], 1, 1))
-    alone, _ = solved(scene_of(plate, lights=[PointLight(np.array([0, 0, 1.0]), np.ones(3))]))
+    alone, _ = solved_patches(scene_of(plate, lights=[PointLight(np.array([0, 0, 1.0]), np.ones(3))]))
     assert not alone.active[alone.patches.count :].any()
 
 
@@ -169,7 +151,7 @@ def test_one_sided_backs_reflect_nothing():
     values = []
     for two_sided in (True, False):
         scene = scene_of(floor, Thing(*grid(lid, 2, 2), 0.5, two_sided=two_sided), lights=[lamp])
-        solution, _ = solved(scene)
+        solution, _ = solved_patches(scene)
         below = (solution.patches.points[:, 0, 2] < 0) & (solution.patches.areas > 0)
         direct = np.zeros(2 * solution.patches.count)
         for rows, light, _, kept in solution.gathered_sides():
@@ -185,7 +167,7 @@ def test_patches_under_a_block_are_buried_and_those_beside_it_are_not():
     vertices, faces, _ = box((0.6, 0.6, 0.6), 1)
     block = Thing(vertices - np.array([0.3, 0.3, 0.0]), faces[:, ::-1])
     lamp = PointLight(np.array([0.2, 0.1, 1.5]), np.full(3, 3.0))
-    solution, model = solved(scene_of(floor, block, lights=[lamp]))
+    solution, model = solved_patches(scene_of(floor, block, lights=[lamp]))
     points = model.frame.size * solution.patches.points + model.frame.center
     on_floor = (np.abs(points[..., 2]) < 1e-6).all(axis=1) & (solution.patches.areas > 0)
     on_floor &= solution.patches.normals[:, 0, 2] > 0  # the block's bottom lies there too
@@ -202,7 +184,7 @@ def test_mesh_edges_that_cross_a_wall_are_cut(gap):
     floor = Thing(*grid([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 9, 9))
     wall = Thing(np.array([(0.51, 0, gap), (0.51, 1, gap), (0.51, 1, 0.5), (0.51, 0, 0.5)]), np.array([[0, 1, 2, 3]]))
     scene = scene_of(floor, replace(wall, receives=False), lights=[PointLight(np.array([0.2, 0.5, 0.4]), np.ones(3))])
-    _, model = solved(scene)
+    _, model = solved_patches(scene)
     receivers = build_receivers(scene.receivers, model.frame)
     with RayPool(1) as pool:
         free = uncut_edges(model.tracer, receivers, pool)

@@ -8,8 +8,8 @@ from radiosity.core.solvers.patch_checks import check_patches
 from radiosity.core.solvers.reciprocity import MOST, SWEEPS, SeenRows, two_way_factors
 from radiosity.core.solvers.sparse_rows import SparseRows, slices_of
 
-from tests.bakes import Thing, scene_of
-from tests.core.solvers.test_patch_solution import dense_factors, dense_of, solved
+from tests.bakes import Thing, scene_of, solved_patches
+from tests.core.solvers.test_patch_solution import dense_factors, dense_of
 from tests.scenes import box, cornell_box, furnace_box, grid
 
 #: Weights are float32: a row of n of them sums to its own sum within n half steps at most.
@@ -69,7 +69,7 @@ def test_what_is_not_open_keeps_to_its_own_rays():
 
 @pytest.mark.parametrize("make", [cornell_box, furnace_box], ids=["cornell", "furnace"])
 def test_exchange_is_symmetric_but_for_what_the_damping_leaves(make):
-    solution, _ = solved(make())
+    solution, _ = solved_patches(make())
     is_open = ~solution.enclosed
     power = solution.open_areas[:, None] * dense_of(solution.factors)
     power = power[is_open][:, is_open]
@@ -105,19 +105,19 @@ def plate_under_lid(gap):
 @pytest.mark.parametrize("gap", [0.005, 0.01, 0.02])
 def test_light_in_a_pocket_is_neither_lost_nor_won(gap, seed, monkeypatch):
     scene = plate_under_lid(gap)
-    both = check_patches(solved(scene, 0.03, seed)[0])
+    both = check_patches(solved_patches(scene, 0.03, seed=seed)[0])
     # Twenty reflections before light is absorbed: as much as the whole bake may err by, in spite of them.
     assert both.energy_balance_error < 0.01
     assert both.light_absorbed == pytest.approx(1, abs=0.01)
     monkeypatch.setattr(
         patch_solution, "two_way_factors", lambda batches, areas, _: two_way_factors(batches, areas, areas < 0)
     )
-    alone = check_patches(solved(scene, 0.03, seed)[0])
+    alone = check_patches(solved_patches(scene, 0.03, seed=seed)[0])
     assert alone.energy_balance_error > 3 * both.energy_balance_error
 
 
 def test_furnace_stays_exact_on_every_patch():
-    solution, _ = solved(furnace_box(reflectance=0.5))
+    solution, _ = solved_patches(furnace_box(reflectance=0.5))
     fronts = solution.radiosity[: solution.patches.count][solution.patches.areas > 0]
     # Of the reflections what the solver leaves undone, 0.002 times the accuracy, and float32.
     np.testing.assert_allclose(fronts, 2, rtol=1e-3)

@@ -35,8 +35,9 @@ IN_PLANE = 1e-5
 #: Share of an opening's area below which a piece of it is dropped, as what rounding leaves of walls that meet.
 SLIVER = 1e-9
 
-#: Portals that an opening is divided into, unless a size is given.
-PORTALS = 16
+#: Portals between two cells, unless a size is given. What black portals err by is direction, not place: the light behind
+#: a doorway was 11.7 % off with 2 of them as with 96.
+PORTALS = 4
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ def partition(environment: Environment, portal_size: float | None = None, least:
     ----------
     environment : Environment
     portal_size : float, optional
-        Length, in scene units, above which portals are divided; by default an opening becomes about `PORTALS` of them.
+        Length, in scene units, above which portals are divided; by default two cells see each other through `PORTALS`
+        of them, or some more.
     least : int
         Patches up to which a cell is not cut.
 
@@ -253,7 +255,7 @@ class _Cutter:
         portals, portal_cells = None, owners.astype(np.int64)
         if kept:
             openings = [self._in_scene(self.openings[number][0]) for number in kept]
-            portals, chosen = _divided(openings, portal_size)
+            portals, chosen = _divided(openings, portal_cells, portal_size)
             portal_cells = portal_cells[chosen]
         planes = np.array(self.planes).reshape(-1, 4)
         planes[:, 3] = planes[:, 3] * self.size + planes[:, :3] @ self.center
@@ -386,12 +388,13 @@ def _best_plane(cell, box):
     return best
 
 
-def _divided(openings, size):
-    """Openings divided into portals, and the opening (p,) of each."""
+def _divided(openings, cells, size):
+    """Openings divided into portals, and the opening (p,) of each; `cells` (m, 2) are those on its sides."""
     whole = Environment.from_polygons(openings, 0.0)
     longest = float(np.ptp(whole.vertices, axis=0).max())
     if size is None:
-        size = (float(np.median(whole.areas)) / PORTALS) ** 0.5
+        _, doorways = np.unique(cells, axis=0, return_inverse=True)
+        size = (float(np.median(np.bincount(doorways.reshape(-1), whole.areas))) / PORTALS) ** 0.5
     units = UNITS * size / longest
     limits = SubdivisionLimits(units, units / 4, units, units / 4, max_elements=2**20)
     tree = Hierarchy.build(whole, limits)

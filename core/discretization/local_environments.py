@@ -35,8 +35,8 @@ IN_PLANE = 1e-5
 #: Share of an opening's area below which a piece of it is dropped, as what rounding leaves of walls that meet.
 SLIVER = 1e-9
 
-#: Portals between two cells, unless a size is given. What black portals err by is direction, not place: the light behind
-#: a doorway was 11.7 % off with 2 of them as with 96.
+#: Portals between two cells, unless a size is given. Black portals err by direction, not by place: the light behind a
+#: doorway was 11.7 % off with 2 of them as with 96.
 PORTALS = 4
 
 

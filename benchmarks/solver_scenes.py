@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from radiosity import core
+from radiosity.core.discretization.hierarchy import UNITS, Hierarchy, SubdivisionLimits
 
 from .form_factor_scenes import REFERENCE_DATA, box, furniture
 
@@ -74,6 +75,14 @@ def row_of_rooms(
     emission = np.zeros((len(polygons), 3))
     emission[lamps] = LAMP
     return core.Environment.from_polygons(polygons, np.array(colors), emission)
+
+
+def divided(environment: core.Environment, edge: float) -> core.Environment:
+    """Surfaces halved into patches of about a square of side `edge`, in meters, or less."""
+    size = UNITS * edge / float(np.ptp(environment.vertices, axis=0).max())
+    limits = SubdivisionLimits(size, size / 4, size, size / 4, max_elements=2**20)
+    hierarchy = Hierarchy.build(environment, limits)
+    return hierarchy.polygons(hierarchy.patch_nodes)
 
 
 def _lit(parts, low, high) -> core.Environment:

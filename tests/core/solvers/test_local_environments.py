@@ -27,7 +27,7 @@ def divided(environment, size=200):
 
 
 def screened(width=0.5, divisions=2, reflectance=0.6, emission=None, without=()):
-    """A box of 4 x 2 x 2 parted by a thin screen, which leaves a gap of some width at the side; the left floor glows."""
+    """A box of 4 x 2 x 2 parted by a screen, which leaves a gap of some width at the side; the left floor glows."""
     polygons = [
         polygon + np.array((start, 0, 0))
         for start, inside in ((0, 1), (2, 0))
@@ -55,36 +55,41 @@ def error_of(environment, solution, reference):
 
 @pytest.fixture(scope="module")
 def rooms():
-    """Two rooms and a row of four furnished ones, lit in the first alone, with undivided solutions."""
+    """Two rooms and a row of four furnished ones, lit in the first alone: solved undivided, and by both strategies."""
     found = {}
     for name, environment in (
         ("two_rooms", divided(SCENES["two_rooms"]())),
-        ("row", divided(row_of_rooms(4, lit=(0,)), 80)),
+        ("row", divided(row_of_rooms(4, lit=(0,)), 250)),
     ):
-        factors = core.form_factors(environment, "hemisphere", accuracy=1e-3)
-        found[name] = environment, core.solve(environment, factors, "gmres", tolerance=1e-9)
+        factors = core.form_factors(environment, "hemisphere", accuracy=1.5e-3)
+        whole = core.solve(environment, factors, "gmres", tolerance=1e-9)
+        cells = partition(environment)
+        solutions = {
+            m: core.solve(environment, method=m, cells=cells, factor_method="hemisphere", accuracy=3e-3) for m in BOTH
+        }
+        found[name] = environment, whole, solutions
     return found
 
 
 @pytest.mark.parametrize("method", BOTH)
 @pytest.mark.parametrize("name, cells", [("two_rooms", 2), ("row", 4)])
 def test_agrees_with_the_undivided_solution_within_the_error_it_states(rooms, name, cells, method):
-    environment, whole = rooms[name]
-    solution = core.solve(environment, method=method, factor_method="hemisphere", accuracy=1e-3)
+    environment, whole, solutions = rooms[name]
+    solution = solutions[method]
     assert solution.converged and solution.method == method and solution.partition.count == cells
     # Its own two standard errors leave room for the one of the undivided solution.
-    assert error_of(environment, solution, whole) < solution.estimated_error < 0.1
+    assert error_of(environment, solution, whole) < solution.estimated_error < 0.15
     assert (solution.errors >= 0).all() and solution.errors.shape == environment.emission.shape
 
 
 def test_black_portals_lose_direction_and_the_estimate_tells_how_much(rooms):
-    environment, whole = rooms["two_rooms"]
-    black, clear = (core.solve(environment, method=m, factor_method="hemisphere", accuracy=1e-3) for m in BOTH)
+    environment, whole, solutions = rooms["two_rooms"]
+    black, clear = (solutions[method] for method in BOTH)
     behind = environment.centroids[:, 0] > 4.1
     true = np.abs(black.radiosity - whole.radiosity)[behind].mean()
     # The far room takes its light from the doorway alone: there black portals err by much more than lines do.
-    assert true > 4 * np.abs(clear.radiosity - whole.radiosity)[behind].mean()
-    assert 0.7 < black.errors[behind].mean() / true < 2
+    assert true > 2 * np.abs(clear.radiosity - whole.radiosity)[behind].mean()
+    assert 0.7 < black.errors[behind].mean() / true < 3
     assert black.estimated_error > clear.estimated_error
 
 
@@ -149,7 +154,8 @@ def test_a_cell_without_light_is_dark_where_nothing_is_open(method):
     cells = cut_at(environment, [(1, 0, 0, 5.1), (1, 0, 0, 10.2)])
     assert cells.count == 3 and cells.portals is None
     solution = core.solve(environment, method=method, cells=cells, factor_method="hemisphere", accuracy=0.01)
-    lit = np.isin(np.arange(len(environment)), cells.patches[cells.cells == cells.cells[environment.emission.any(axis=1)[cells.patches]][0]])  # fmt: skip
+    lamp = environment.emission.any(axis=1)[cells.patches]
+    lit = np.bincount(cells.patches[cells.cells == cells.cells[lamp][0]], minlength=len(environment)) > 0
     assert solution.converged and solution.radiosity[lit].any()
     assert not solution.radiosity[~lit].any()
 
@@ -189,10 +195,17 @@ def test_error_of_transparent_boundaries_falls_with_the_accuracy():
     assert errors[1] < errors[0] / 10 and stated[1] < stated[0] / 10
 
 
-@pytest.mark.parametrize("factor_method", METHODS)
-def test_any_method_of_factors_serves(factor_method):
+@pytest.fixture(scope="module")
+def exact():
+    """A screened box and its solution by exact clipping."""
     environment = screened(divisions=1)
-    whole = core.solve(environment, core.form_factors(environment, factor_method, accuracy=0.01), "direct")
+    factors = core.form_factors(environment, "point_to_polygon", "bsp", accuracy=1e-5)
+    return environment, core.solve(environment, factors, "direct")
+
+
+@pytest.mark.parametrize("factor_method", METHODS)
+def test_any_method_of_factors_serves(exact, factor_method):
+    environment, whole = exact
     for method in BOTH:
         solution = core.solve(
             environment, method=method, cells=cut(environment), factor_method=factor_method, accuracy=0.01

@@ -54,6 +54,7 @@ def test_command_writes_every_run_with_its_growth_over_linear(tmp_path):
         ("4", "transparent_boundary"),
     ]
     assert all(line["converged"] == "True" and float(line["peak_MB"]) > 0 for line in lines)
+    assert all(line["cells"] == line["rooms"] for line in lines[1:])
     assert all(float(line["time_growth"]) == 1 == float(line["memory_growth"]) for line in lines[:3])
     for line in lines[3:]:
         base = next(other for other in lines if other["strategy"] == line["strategy"])

@@ -24,6 +24,7 @@ from ..lights import Light
 from ..lights.direct_light import direct_light
 from ..progress import shared_progress
 from ..visibility.embree import CHUNK_RAYS, RayPool, Tracer
+from .anderson import MEMORY, mixed
 from .reciprocity import SeenRows, two_way_factors
 from .sparse_rows import SparseRows
 
@@ -46,9 +47,6 @@ MAX_SWEEPS = 200
 
 #: Bounces among backs that only receivers see.
 LATE_BOUNCES = 3
-
-#: Earlier steps that Anderson's acceleration looks back on.
-MEMORY = 8
 
 
 @dataclass
@@ -314,7 +312,7 @@ class PatchSolution:
                 break
             steps.append(image)
             changes.append(change)
-            radiosity = _accelerated(steps[-MEMORY:], changes[-MEMORY:])
+            radiosity = mixed(steps[-MEMORY:], changes[-MEMORY:])
         self.radiosity = np.maximum(radiosity, 0)
 
     def _size(self, values: np.ndarray) -> float:
@@ -352,26 +350,6 @@ class PatchSolution:
     def converged(self) -> bool:
         """Whether the solver met its tolerance."""
         return self.residual <= self.tolerance
-
-
-def _accelerated(steps: list[np.ndarray], changes: list[np.ndarray]) -> np.ndarray:
-    """The mix of the last steps whose changes cancel best, per channel."""
-    if len(steps) == 1:
-        return steps[0]
-    out = np.empty_like(steps[-1])
-    for channel in range(3):
-        last = changes[-1][:, channel].astype(np.float64)
-        differences = np.stack([last - c[:, channel] for c in changes[:-1]])
-        # Normal equations with a small tie: few unknowns, and nearly parallel changes must not blow up. By einsum: a
-        # matrix product of this shape waits for threads longer than it works.
-        normal = np.einsum("ki,li->kl", differences, differences)
-        normal += np.eye(len(normal)) * (1e-10 * np.trace(normal) + 1e-300)
-        mix = np.linalg.solve(normal, np.einsum("ki,i->k", differences, last))
-        mixed = steps[-1][:, channel].astype(np.float64)
-        for weight, step in zip(mix, steps[:-1], strict=True):
-            mixed = mixed + weight * (step[:, channel] - steps[-1][:, channel])
-        out[:, channel] = np.maximum(mixed, 0)
-    return out
 
 
 def _arriving(side: _Side, table: np.ndarray) -> np.ndarray:

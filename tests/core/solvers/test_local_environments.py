@@ -94,13 +94,36 @@ def test_black_portals_lose_direction_and_the_estimate_tells_how_much(rooms):
 
 
 @pytest.mark.parametrize("method", BOTH)
-@pytest.mark.parametrize("width", [0.5, 1e-4, 2])
+@pytest.mark.parametrize("width", [2, 0.5, 1e-3, 1e-6, 0])
 def test_furnace_glows_evenly_through_doors_of_any_width(width, method):
     environment = screened(width, reflectance=0.5, emission=1)
-    solution = core.solve(environment, method=method, cells=cut(environment), tolerance=1e-12)
-    assert (solution.partition.portals is None) == (width == 0)
-    # Row sums hold to rounding, as those of closed cells do, but for the portal that is lost by being thin.
+    solution = core.solve(environment, method=method, cells=cut(environment), tolerance=1e-12, accuracy=0.01)
+    # A door below the tolerance of planes is closed.
+    assert (solution.partition.portals is None) == (width < 1e-4)
+    # Row sums hold to rounding, as those of closed cells do.
     np.testing.assert_allclose(solution.radiosity, 2, rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", BOTH)
+def test_a_door_that_closes_leads_to_the_closed_rooms(method):
+    found = {}
+    for width in (0.1, 1e-3, 0):
+        environment = screened(width)
+        found[width] = core.solve(environment, method=method, cells=cut(environment), accuracy=1e-3).radiosity
+    # Light that passes is in proportion to the width.
+    far, near = (np.abs(found[width] - found[0]).max() for width in (0.1, 1e-3))
+    assert 0 < near < 0.02 * far
+
+
+@pytest.mark.parametrize("width", [0.5, 1.9])
+def test_bright_rooms_settle_in_few_sweeps(width):
+    environment = screened(width, reflectance=0.999)
+    solution = core.solve(environment, method="black_boundary", cells=cut(environment), accuracy=0.01, estimate=False)
+    assert solution.converged and solution.iterations <= 20
+    # What is emitted is absorbed but for the residual, over the thousandth that walls take at each reflection.
+    arriving = (solution.radiosity - environment.emission) / environment.reflectance
+    absorbed, emitted = environment.areas @ (0.001 * arriving), environment.areas @ environment.emission
+    np.testing.assert_allclose(absorbed, emitted, rtol=2e-6)
 
 
 @pytest.mark.parametrize("method", BOTH)
@@ -218,8 +241,8 @@ def test_any_method_of_factors_serves(exact, factor_method):
 def test_light_that_leaves_the_scene_is_lost_through_portals_too(method):
     environment = screened(width=1, without=(5,))  # no ceiling
     whole = core.solve(environment, core.form_factors(environment, accuracy=1e-4), "direct")
-    solution = core.solve(environment, method=method, cells=cut(environment), accuracy=1e-3)
-    assert error_of(environment, solution, whole) < solution.estimated_error < 0.2
+    solution = core.solve(environment, method=method, cells=cut(environment), accuracy=5e-3)
+    assert error_of(environment, solution, whole) < solution.estimated_error < 0.3
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -375,11 +375,14 @@ def _best_plane(cell, box):
         up, down = ((sign * heights > IN_PLANE).any(axis=1) for sign in (1, -1))
         if not (up.any() and down.any()):
             continue
+        ahead = flat & (cell.faces @ plane[:3] > 0)
+        counts = [up.sum() + ahead.sum(), down.sum() + (flat & ~ahead).sum()]
+        # The section takes longest to find: not for planes that save too little even without an opening.
+        if sum(float(count) ** 2 for count in counts) >= least:
+            continue
         open_area = _loop_areas(_section(cell.bounds, plane)[None])[0] - areas[flat].sum()
         portals = PORTALS if open_area > SLIVER else 0
         share = max(open_area, 0) / max(areas.sum(), SLIVER)
-        ahead = flat & (cell.faces @ plane[:3] > 0)
-        counts = [up.sum() + ahead.sum(), down.sum() + (flat & ~ahead).sum()]
         # A wide opening hides nothing: what is seen through it is exchanged pair by pair.
         through = 2 * counts[0] * counts[1] * min(8 * share, 1)
         work = sum(float(count + portals) ** 2 for count in counts) + through

@@ -7,11 +7,12 @@ import pytest
 from radiosity import core
 from radiosity.core.discretization.hierarchy import Hierarchy, SubdivisionLimits
 from radiosity.core.discretization.local_environments import cut_at, partition
-from radiosity.core.errors import SettingsError
+from radiosity.core.errors import MissingRayEngineError, SettingsError
 from radiosity.core.form_factors.matrix import METHODS
 from radiosity.core.solvers import SOLVERS, portal_exchange
 from radiosity.core.solvers.cell_factors import cell_factors
 from radiosity.core.solvers.transparent_boundary import relative_error, transparent_factors
+from radiosity.core.visibility import embree
 
 from benchmarks.form_factor_scenes import box
 from benchmarks.solver_scenes import SCENES, row_of_rooms
@@ -294,6 +295,19 @@ def test_without_an_estimate_there_is_no_error_stated():
     assert np.isnan(solution.estimated_error) and solution.errors is None
     checked = core.solve(environment, method="black_boundary", cells=cut(environment))
     np.testing.assert_array_equal(solution.radiosity, checked.radiosity)
+
+
+def test_only_the_estimate_needs_the_ray_engine(monkeypatch):
+    def missing(*arguments):
+        raise MissingRayEngineError("not on this platform")
+
+    monkeypatch.setattr(embree.Tracer, "build", missing)
+    environment = screened(divisions=1)
+    choices = {"cells": cut(environment), "factor_method": "hemicube", "accuracy": 0.05}
+    assert core.solve(environment, method="black_boundary", estimate=False, **choices).converged
+    for method in BOTH:
+        with pytest.raises(MissingRayEngineError):
+            core.solve(environment, method=method, **choices)
 
 
 @pytest.mark.parametrize("method", BOTH)

@@ -22,6 +22,7 @@ from ..environment import Environment
 from ..errors import SettingsError
 from ..visibility.convex_loops import convex_pieces, join, split
 from .hierarchy import UNITS, Hierarchy, SubdivisionLimits
+from .openings import IN_PLANE, SLIVER, loop_areas, openings_in, section
 
 #: Planes of a cell that are tried, those first whose polygons are largest.
 CANDIDATES = 48
@@ -29,12 +30,6 @@ CANDIDATES = 48
 #: Share of the work, as the number of pairs of patches, that a plane must save. With a tenth, a wall's inside became a
 #: cell of its own, whose two portals only blur the light.
 LEAST_GAIN = 0.2
-
-#: Distance from a plane, in scene sizes, that counts as none: some thousand roundings of float32 coordinates.
-IN_PLANE = 1e-5
-
-#: Share of an opening's area below which a piece of it is dropped, as what rounding leaves of walls that meet.
-SLIVER = 1e-9
 
 #: Portals between two cells, unless a size is given. Black portals err by direction, not by place: the light behind a
 #: doorway was 11.7 % off with 2 of them as with 96.
@@ -212,7 +207,7 @@ class _Cutter:
         if not ((heights > IN_PLANE).any() and (heights < -IN_PLANE).any()):
             return [cell]
         flat = (np.abs(heights) <= IN_PLANE).all(axis=1)
-        opening = _opening(cell, plane, flat)
+        opening = openings_in(cell.bounds, plane, cell.loops[flat])
         parts = _parts(cell, plane, heights, flat)
         self._share_portals(cell, parts, plane)
         for loop in opening:
@@ -293,74 +288,9 @@ def _parts(cell, plane, heights, flat):
     return parts
 
 
-def _section(bounds, plane):
-    """The convex part (k, 3) of a plane between planes; with no corners where there is none."""
-    normal = plane[:3]
-    axis = np.eye(3)[np.abs(normal).argmin()]
-    first = np.cross(normal, axis)
-    first /= np.linalg.norm(first)
-    second = np.cross(normal, first)
-    reach = 4.0  # the unit frame's diagonal is below 2
-    loop = np.array(
-        [plane[3] * normal + reach * (a * first + b * second) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    )
-    loops = loop[None]
-    for bound in bounds:
-        loops, _, _, _ = split(loops, loops @ bound[:3] - bound[3], IN_PLANE)
-        if not len(loops):
-            return np.empty((0, 3))
-    return loops[0]
-
-
-def _opening(cell, plane, flat):
-    """Convex loops (k, c, 3) of the plane inside the cell that no polygon in the plane covers."""
-    section = _section(cell.bounds, plane)
-    if not len(section):
-        return section[None][:0]
-    whole = _loop_areas(section[None])[0]
-    left = section[None]
-    covers = cell.loops[flat]
-    for cover in covers[np.argsort(-_loop_areas(covers), kind="stable")]:
-        left = _without(left, cover, plane[:3])
-        if not len(left):
-            break
-        left = left[_loop_areas(left) > SLIVER * whole]
-    return left
-
-
-def _without(loops, cover, normal):
-    """Convex loops (m, k, 3) in a plane without the convex `cover` (c, 3) in it."""
-    inward = np.cross(normal, np.roll(cover, -1, axis=0) - cover)
-    middle = cover.mean(axis=0)
-    inward *= np.sign(np.einsum("ki,ki->k", inward, middle - cover))[:, None]
-    lengths = np.linalg.norm(inward, axis=1)
-    sides = [
-        (row / size, (row / size) @ corner) for row, size, corner in zip(inward, lengths, cover, strict=True) if size
-    ]
-    # What lies beyond one side as a whole is not cut by the lines of the others.
-    apart = np.zeros(len(loops), bool)
-    for row, offset in sides:
-        apart |= (loops @ row - offset <= IN_PLANE).all(axis=1)
-    outside, inside = [loops[apart]], loops[~apart]
-    for row, offset in sides:
-        inside, _, beyond, _ = split(inside, inside @ row - offset, IN_PLANE)
-        outside.append(beyond)
-        if not len(inside):
-            break
-    return join(outside)
-
-
-def _loop_areas(loops):
-    """Areas (m,) of convex loops (m, k, 3)."""
-    if not len(loops):
-        return np.zeros(0)
-    local = loops - loops[:, :1]
-    return np.linalg.norm(np.cross(local[:, 1:-1], local[:, 2:]).sum(axis=1), axis=1) / 2
-
-
 def _best_plane(cell, box):
     """The plane (4,) that saves most pairs of patches; None where none saves `LEAST_GAIN` of them."""
-    areas = _loop_areas(cell.loops)
+    areas = loop_areas(cell.loops)
     normals = cell.faces
     # Planes whose normals point the other way are the same.
     leading = np.take_along_axis(normals, np.abs(normals).argmax(axis=1)[:, None], axis=1)
@@ -381,7 +311,7 @@ def _best_plane(cell, box):
         # The section takes longest to find: not for planes that save too little even without an opening.
         if sum(float(count) ** 2 for count in counts) >= least:
             continue
-        open_area = _loop_areas(_section(cell.bounds, plane)[None])[0] - areas[flat].sum()
+        open_area = loop_areas(section(cell.bounds, plane)[None])[0] - areas[flat].sum()
         portals = PORTALS if open_area > SLIVER else 0
         share = max(open_area, 0) / max(areas.sum(), SLIVER)
         # A wide opening hides nothing: what is seen through it is exchanged pair by pair.

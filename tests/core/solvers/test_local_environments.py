@@ -105,6 +105,37 @@ def test_furnace_glows_evenly_through_doors_of_any_width(width, method):
     np.testing.assert_allclose(solution.radiosity, 2, rtol=1e-9)
 
 
+def four_rooms():
+    """A house of 4 x 4 x 2 m, parted by two thin walls that cross; each of their four halves has a doorway."""
+    polygons = box((0, 0, 0), (4, 4, 2), inward=True, divisions=4)
+    count = len(polygons)
+    for across in (False, True):
+        for start, end in ((0, 0.5), (1.2, 2.9), (3.6, 4)):
+            wall = np.array([(2, start, 0), (2, end, 0), (2, end, 2), (2, start, 2)], dtype=float)
+            polygons.append(wall[:, [1, 0, 2]] if across else wall)
+    return core.Environment.from_polygons(polygons, 0.5, 1, np.arange(len(polygons)) >= count)
+
+
+@pytest.mark.parametrize("method", BOTH)
+def test_furnace_of_rooms_around_a_crossing_glows_evenly(method):
+    environment = four_rooms()
+    cells = cut_at(environment, [(1, 0, 0, 2), (0, 1, 0, 2)])
+    assert cells.count == 4 and len(np.unique(np.sort(cells.portal_cells, axis=1), axis=0)) == 4
+    solution = core.solve(environment, method=method, cells=cells, tolerance=1e-12, accuracy=0.01)
+    np.testing.assert_allclose(solution.radiosity, 2, rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", BOTH)
+def test_rooms_around_a_crossing_agree_with_the_undivided_solution(method):
+    house = four_rooms()
+    emission = np.where((house.centroids < 2).all(axis=1) & ~house.two_sided, 1.0, 0.0)
+    environment = core.Environment.from_polygons(house.polygons, 0.6, emission, house.two_sided)
+    whole = core.solve(environment, core.form_factors(environment, "hemisphere", accuracy=1e-3), "direct")
+    cells = cut_at(environment, [(1, 0, 0, 2), (0, 1, 0, 2)])
+    solution = core.solve(environment, method=method, cells=cells, factor_method="hemisphere", accuracy=2e-3)
+    assert error_of(environment, solution, whole) < solution.estimated_error < 0.1
+
+
 @pytest.mark.parametrize("method", BOTH)
 def test_a_door_that_closes_leads_to_the_closed_rooms(method):
     found = {}

@@ -1,4 +1,4 @@
-"""`radiosity bake` and `radiosity verify`: bakes without a window, for one file or hundreds, and what they are worth.
+"""`radiosity bake`, `verify` and `compare`: bakes without a window, for one file or hundreds, and what they are worth.
 
 The same parser serves `python -m radiosity` (the bpy module) and `blender -b scene.blend --command radiosity` (the
 program); `command_arguments.py` has it.
@@ -13,91 +13,18 @@ import json
 import os
 import signal
 import sys
-from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from ..core.errors import RadiosityError, SettingsError
+from ..core.settings import BakeSettings
 from ..core.verification.verification import LEAST
 from .command_arguments import BAD_ARGUMENTS, build_parser, overrides
+from .command_tasks import Task, plan_tasks
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
-
-_SUFFIXES = {"output": ".blend", "report": ".json", "image": ".png"}
-
-
-@dataclass(frozen=True)
-class Task:
-    """One scene and where its results go; without `source`, the file that is open."""
-
-    source: Path | None
-    output: Path | None
-    report: Path | None
-    image: Path | None
-
-    @property
-    def results(self) -> list[Path]:
-        return [path for path in (self.output, self.report, self.image) if path]
-
-
-def plan_tasks(arguments: argparse.Namespace, opened: Path | None) -> list[Task]:
-    """Where everything goes.
-
-    Raises
-    ------
-    ValueError
-        If names are missing, collide, or lie in a folder that does not exist.
-    """
-    sources = [Path(os.path.abspath(name)) for name in arguments.inputs]
-    if not sources and opened is None:
-        raise ValueError("name a scene file, or open one: blender -b scene.blend --command radiosity bake ...")
-    places = {kind: getattr(arguments, kind) for kind in _SUFFIXES}
-    if not any(places.values()) and arguments.command == "bake":
-        raise ValueError("nothing to write: add --output OUT.blend, --report R.json or --image I.png")
-    tasks = []
-    for source in sources or [None]:
-        results = {
-            kind: _result_path(kind, place, (source or opened).stem, len(sources) > 1)
-            for kind, place in places.items()
-            if place
-        }
-        tasks.append(Task(source, *(results.get(kind) for kind in _SUFFIXES)))
-    _refuse_collisions(tasks, opened, arguments.output)
-    return tasks
-
-
-def _result_path(kind: str, place: str, stem: str, several: bool) -> Path:
-    suffix = _SUFFIXES[kind]
-    path = Path(os.path.abspath(place))
-    is_folder = path.is_dir() or place.endswith(("/", os.sep))
-    if several and not is_folder and path.suffix.lower() == suffix:
-        raise ValueError(f"--{kind} {place} names one file for several scenes: give a folder")
-    if several or is_folder:
-        path = path / f"{stem}{suffix}"
-        if path.parent.exists() and not path.parent.is_dir():
-            raise ValueError(f"--{kind} {place} is a file: give a folder")
-        folder = path.parent.parent  # the folder that is named is made, those above it are not
-    else:
-        if path.suffix.lower() != suffix:
-            raise ValueError(f"--{kind} {place} must end in {suffix}, or be a folder")
-        folder = path.parent
-    if not folder.is_dir():
-        raise ValueError(f"--{kind} {place}: there is no folder {folder}")
-    return path
-
-
-def _refuse_collisions(tasks: list[Task], opened: Path | None, named_output: str | None) -> None:
-    results = Counter(path for task in tasks for path in task.results)
-    twice = next((path for path, count in results.items() if count > 1), None)
-    if twice:
-        raise ValueError(f"two scenes would be written to {twice}: bake them into different folders")
-    for path in (task.source or opened for task in tasks):
-        # A file may be replaced by its baked self, but only where its own name was typed.
-        if path in results and path != Path(os.path.abspath(named_output)):
-            raise ValueError(f"{path} would be overwritten: name another folder for --output")
 
 
 def main(
@@ -138,6 +65,9 @@ def main(
                 return _run(tasks, partial(_verify, arguments=arguments), stream)
             given = overrides(arguments)
             _check(given)
+            if arguments.command == "compare":
+                _check_compare(arguments)
+                return _run(tasks, partial(_compare, given=given, arguments=arguments), stream)
             return _run(tasks, partial(_bake, given=given, arguments=arguments), stream)
         except SettingsError as error:
             sys.stderr.write(f"{program}: error: {error}\n")
@@ -165,6 +95,14 @@ def _check_verify(arguments: argparse.Namespace) -> None:
         raise SettingsError(f"--places must be {LEAST} or more, not {arguments.places}")
     if (arguments.threads or 0) < 0 or arguments.seed < 0:
         raise SettingsError("--threads and --seed must be 0 or more")
+
+
+def _check_compare(arguments: argparse.Namespace) -> None:
+    """Raise SettingsError for a value out of range before the first file is opened."""
+    if arguments.places < LEAST:
+        raise SettingsError(f"--places must be {LEAST} or more, not {arguments.places}")
+    for accuracy in arguments.accuracies or ():
+        BakeSettings(accuracy=accuracy)
 
 
 def _run(tasks: list[Task], work: Callable[[Task], str], stream) -> int:
@@ -286,6 +224,45 @@ def _verify(task: Task, arguments: argparse.Namespace) -> str:
         f"{task.source or bpy.data.filepath}: {_measured(report)} at {places:,} vertices, "
         f"reference known to {noise:.1%} at each{written}"
     )
+
+
+def _compare(task: Task, given: dict[str, object], arguments: argparse.Namespace) -> str:
+    """Bake one file by every method and say in a line each what it is worth; write table and plot if named."""
+    import bpy
+
+    from .adapters.bake_settings import bake_options
+    from .adapters.compare_job import advice, compare_job_steps, comparison_picture, comparison_table, trial_line
+    from .adapters.console import ProgressLine
+    from .adapters.picture_file import write_picture
+    from .adapters.scene_files import open_scene, write_all_or_nothing
+    from .adapters.stored_state import leave_edit_mode, receiving
+
+    line = ProgressLine(task.source.name if task.source else "radiosity", sys.stderr)
+    try:
+        if task.source:
+            line.update(0.0, "Opening")
+            open_scene(task.source, arguments.enable_scripts)
+        context = bpy.context
+        options = bake_options(context.scene.radiosity, **given)
+        leave_edit_mode(context)
+        with receiving(context, arguments.selected):
+            steps = compare_job_steps(context, options, arguments.methods, arguments.accuracies, arguments.places)
+            comparison = _finished(steps, line)
+        name = str(task.source or bpy.data.filepath)
+        writers = {}
+        if task.table:
+            writers[task.table] = partial(Path.write_text, data=comparison_table(comparison), encoding="utf-8")
+        if task.image:
+            picture = comparison_picture(comparison, Path(name).name)
+            if picture is None:
+                raise RadiosityError(f"{name}: there is nothing to plot, {advice(comparison)}")
+            writers[task.image] = partial(write_picture, pixels=picture)
+        write_all_or_nothing(writers)
+    finally:
+        line.clear()
+    written = f" -> {', '.join(str(path) for path in task.results)}" if task.results else ""
+    lines = [*(trial_line(trial) for trial in comparison["trials"]), advice(comparison) + written]
+    return "\n".join(f"{name}: {text}" for text in lines)
 
 
 def _finished(steps: Generator, line) -> dict:

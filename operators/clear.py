@@ -4,6 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..addon.adapters.color_attribute import remove_color_attributes
+from ..addon.adapters.compare_job import remove_comparison
 from ..addon.adapters.preview_material import remove_leftovers, restore_materials
 from ..addon.adapters.report import remove_report
 from ..addon.adapters.viewport import restore_shading
@@ -11,7 +12,7 @@ from ..addon.properties.progress import state
 
 
 class RADIOSITY_OT_clear(bpy.types.Operator):
-    """Remove from the scene all that baking has added: color attributes, preview materials, viewport shading, report"""
+    """Remove from the scene all that baking has added: colors, preview materials, viewport shading, reports"""
 
     bl_idname = "radiosity.clear"
     bl_label = "Clear"
@@ -37,5 +38,6 @@ class RADIOSITY_OT_clear(bpy.types.Operator):
         for screen in bpy.data.screens:
             restore_shading(screen)
         remove_report(context.scene)
+        remove_comparison(context.scene)
         self.report({'INFO'}, rpt_("Cleared the light of {:d} meshes").format(count))
         return {'FINISHED'}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 def _classes():
     from .bake import VIEW3D_PT_radiosity
+    from .comparison import VIEW3D_PT_radiosity_comparison
     from .discretization import VIEW3D_PT_radiosity_discretization
     from .exchange import VIEW3D_PT_radiosity_exchange
     from .output import VIEW3D_PT_radiosity_output
@@ -20,6 +21,7 @@ def _classes():
         VIEW3D_PT_radiosity_exchange,
         VIEW3D_PT_radiosity_performance,
         VIEW3D_PT_radiosity_statistics,
+        VIEW3D_PT_radiosity_comparison,
     )
 
 

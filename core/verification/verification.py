@@ -127,6 +127,22 @@ def verify_steps(
     MissingRayEngineError
         If rays cannot be traced on this platform.
     """
+    return (yield from verify_each_steps(scene, [stored], bake_type, places, paths, seed, threads))[0]
+
+
+def verify_each_steps(
+    scene: Scene,
+    bakes: Sequence[Sequence[StoredColors]],
+    bake_type: str = "combined",
+    places: int = PLACES,
+    paths: int = PATHS,
+    seed: int = 0,
+    threads: int = 0,
+) -> Generator[Progress, None, list[Verification]]:
+    """Measure several bakes of one scene at the same places against one reference, as `verify_steps` does one.
+
+    `bakes` hold colors each, in the same domain. The reference is followed until it is known better than the best.
+    """
     if bake_type == "emission":
         raise SettingsError("Emission is read from the materials and has no error to measure: bake another type")
     if places < LEAST or paths < LEAST:
@@ -141,7 +157,7 @@ def verify_steps(
             raise EmptySceneError("No vertex with a light to measure: all baked meshes are empty or broken")
         spacing = np.sqrt(path_scene.area / TYPICAL_PATCHES)
         walled = find_walled_off(path_scene.tracer, meshes, receivers, spacing, pool).receivers
-        chosen = _draw(scene, receivers, stored, places, walled, np.random.default_rng(seed))
+        chosen = _draw(scene, receivers, bakes[0], places, walled, np.random.default_rng(seed))
         points, normals = receivers.points[chosen.receivers], receivers.normals[chosen.receivers]
         yield Progress(0.02, "Direct light of the reference")
         work = shared_progress(direct_reference(path_scene, points, normals, seed, pool), 0.02, 0.1)
@@ -157,9 +173,9 @@ def verify_steps(
             backs += share * (light.backs - backs)
             followed, rays = followed + more, rays + light.rays
             lit = _Lit(direct, indirect, backs)
-            measured, left_out = _measured(scene, receivers, stored, bake_type, chosen, lit, seed)
-            if followed >= paths or measured.noise < measured.error:
-                return Verification(measured, left_out, followed, rays)
+            found = [_measured(scene, receivers, stored, bake_type, chosen, lit, seed) for stored in bakes]
+            if followed >= paths or all(measured.noise < measured.error for measured, _ in found):
+                return [Verification(measured, left_out, followed, rays) for measured, left_out in found]
 
 
 def _told(work: Generator, message: str) -> Generator[Progress, None, object]:

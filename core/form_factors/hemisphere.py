@@ -273,7 +273,11 @@ class RowCaster:
 
     def met(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(r,) patch whose radiating side each ray meets, or the number of patches for none."""
-        met = self.owners[self.engine.closest(origins, directions)[0]]
+        return self.seen(self.engine.closest(origins, directions)[0], directions)
+
+    def seen(self, triangles: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(r,) patch whose radiating side a ray sees that has hit a triangle, or the number of patches for none."""
+        met = self.owners[triangles]
         facing = np.einsum("ri,ri->r", directions, self.met_normals[np.minimum(met, self.count - 1)]) < 0
         seen = facing | self.met_two_sided[met]
         return np.where(seen, met, self.count)

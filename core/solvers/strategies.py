@@ -10,9 +10,11 @@ from ..environment import Environment
 from ..errors import SettingsError
 from ..form_factors.matrix import FormFactors
 from .adaptive import solve_adaptively
+from .black_boundary import black_boundary
 from .choice import SOLVERS, check_options, solve_radiosity
 from .progressive_refinement import ProgressiveRefinement, Rows
 from .system import Callback, Solution
+from .transparent_boundary import transparent_boundary
 from .two_level import two_level
 
 #: Strategies by name, which divide surfaces and compute the form factors that they need. A strategy takes (environment,
@@ -20,6 +22,8 @@ from .two_level import two_level
 STRATEGIES: dict[str, Callable[..., Solution]] = {
     "two_level": two_level,
     "adaptive": solve_adaptively,
+    "black_boundary": black_boundary,
+    "transparent_boundary": transparent_boundary,
 }
 
 

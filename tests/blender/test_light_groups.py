@@ -228,7 +228,7 @@ def test_clear_leaves_the_mesh_as_it_was(room, active):
 def test_a_bake_that_cannot_write_a_group_changes_nothing(room):
     room[1].attributes.new(name="Radiosity.Red", type='FLOAT', domain='POINT')
     before = [snapshot(mesh) for mesh in room]
-    with pytest.raises(RuntimeError, match="uses the name 'Radiosity.Red' for an attribute of another kind"):
+    with pytest.raises(RuntimeError, match=r"uses the name 'Radiosity\.Red' for an attribute of another kind"):
         bake()
     assert [snapshot(mesh) for mesh in room] == before and not len(mix())
 

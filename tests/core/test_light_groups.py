@@ -28,7 +28,9 @@ def room(divisions: int = 16):
     board = Thing(*grid(((0.2, 0.2, 0.02), (0.8, 0.2, 0.02), (0.8, 0.8, 0.02), (0.2, 0.8, 0.02)), 6, 6), name="Board")
     stand = Thing(*grid(((0.5, 0.1, -0.1), (0.5, 0.7, -0.1), (0.5, 0.7, 0.5), (0.5, 0.1, 0.5)), 9, 9), name="Stand")
     corners, quads, _ = box((0.06, 0.06, 0.06), 2)
-    bulb = Thing(corners + (0.3, 0.6, 0.7), quads[:, ::-1], emission=(3.0, 6.0, 9.0), reflectance=0.2, name="Bulb")
+    bulb = Thing(
+        corners + np.array((0.3, 0.6, 0.7)), quads[:, ::-1], emission=(3.0, 6.0, 9.0), reflectance=0.2, name="Bulb"
+    )
     faint = Thing(*grid(((0.1, 0.9, 0.4), (0.2, 0.9, 0.4), (0.2, 0.9, 0.5), (0.1, 0.9, 0.5)), 1, 1), emission=1e-4)
     lights = (
         PointLight(np.array([0.8, 0.5, 0.8]), np.array([0.1, 0.05, 0.02]), 0.03),
@@ -122,7 +124,7 @@ def test_emission_of_a_mesh_belongs_to_its_own_group(baked):
 
 
 def test_faces_of_one_look_in_two_groups_are_told_apart():
-    vertices, faces, sides = box(divisions=4)
+    vertices, faces, _ = box(divisions=4)
     walls = Thing(vertices, faces)
     plate = grid(((0.1, 0.1, 0.9), (0.1, 0.4, 0.9), (0.4, 0.4, 0.9), (0.4, 0.1, 0.9)), 1, 1)
     # Side by side, of one material: as one look they would be merged to one light.

@@ -17,6 +17,7 @@ from collections.abc import Generator, Sequence
 
 import numpy as np
 
+from ..light_groups import level
 from ..progress import shared_progress
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import PatchSolution
@@ -54,8 +55,8 @@ def light_hollows(
     penumbra_rays: int,
     seed: int,
 ) -> Generator[float, None, tuple[np.ndarray, int]]:
-    """Give receivers in hollows the light (r, 6), direct and indirect, of the rest of their faces; which ones (r,) bool
-    were given it, and the rays it took. The array given is changed.
+    """Give receivers in hollows the light (r, 2 c), direct and indirect, of the rest of their faces; which ones (r,)
+    bool were given it, and the rays it took. The array given is changed.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ def light_hollows(
         Receivers whose light is that of another place already: they are neither asked nor compared with.
     """
     moved = np.zeros(len(receivers), bool)
-    asked = _darker(receivers, light.sum(axis=1), settled)
+    asked = _darker(receivers, level(light), settled)
     if not len(asked):
         return moved, 0
     work = look(solution, receivers.points[asked], receivers.normals[asked], asked, RAYS, 1, seed)
@@ -76,7 +77,7 @@ def light_hollows(
     rays = min(penumbra_rays, PENUMBRA_RAYS)
     work = look(solution, points, normals, np.arange(len(points)), RAYS, rays, seed)
     seen = yield from shared_progress(work, 0.4, 1.0)
-    own, found = light[asked].sum(axis=1)[owners], seen.light.sum(axis=1)
+    own, found = level(light[asked])[owners], level(seen.light)
     is_open = seen.free & (seen.backs < BACKS) & (own < DARK * found)
 
     def sums(of: np.ndarray) -> np.ndarray:
@@ -84,18 +85,18 @@ def light_hollows(
 
     # What lies inside solids is in no picture.
     given = np.flatnonzero(sums(weights * is_open) > MOST * sums(weights * seen.free))
-    total = np.stack([sums(weights * is_open * seen.light[:, k]) for k in range(6)], axis=1)
+    total = np.stack([sums(weights * is_open * seen.light[:, k]) for k in range(light.shape[1])], axis=1)
     light[asked[given]] = total[given] / sums(weights * is_open)[given, None]
     moved[asked[given]] = True
     return moved, here.rays + seen.rays
 
 
-def _darker(receivers: Receivers, level: np.ndarray, settled: np.ndarray) -> np.ndarray:
+def _darker(receivers: Receivers, brightness: np.ndarray, settled: np.ndarray) -> np.ndarray:
     """(n,) receivers on borders darker by far than the other end of one of their edges."""
-    brightest = np.zeros(len(level), level.dtype)
+    brightest = np.zeros(len(brightness), brightness.dtype)
     for one, other in (receivers.edges.T, receivers.edges.T[::-1]):
-        np.maximum.at(brightest, one, np.where(settled[other], 0, level[other]))
-    return np.flatnonzero(receivers.borders & ~settled & (level < DARK * brightest))
+        np.maximum.at(brightest, one, np.where(settled[other], 0, brightness[other]))
+    return np.flatnonzero(receivers.borders & ~settled & (brightness < DARK * brightest))
 
 
 def _samples(solution: PatchSolution, meshes: Sequence[ReceiverMesh], receivers: Receivers, asked: np.ndarray):

@@ -17,14 +17,19 @@ from .system import Callback, Solution
 from .transparent_boundary import transparent_boundary
 from .two_level import two_level
 
-#: Strategies by name, which divide surfaces and compute the form factors that they need. A strategy takes (environment,
-#: tolerance, max_iterations, callback, **choices) and returns a `Solution`.
-STRATEGIES: dict[str, Callable[..., Solution]] = {
+#: Strategies by name that divide surfaces into patches and elements.
+DIVISIONS: dict[str, Callable[..., Solution]] = {
     "two_level": two_level,
     "adaptive": solve_adaptively,
+}
+#: Strategies by name that divide an environment's patches among local environments.
+LOCAL_ENVIRONMENTS: dict[str, Callable[..., Solution]] = {
     "black_boundary": black_boundary,
     "transparent_boundary": transparent_boundary,
 }
+#: Strategies by name, which compute the form factors that they need. A strategy takes (environment, tolerance,
+#: max_iterations, callback, **choices) and returns a `Solution`.
+STRATEGIES: dict[str, Callable[..., Solution]] = DIVISIONS | LOCAL_ENVIRONMENTS
 
 
 def solve(

@@ -8,7 +8,8 @@ from radiosity import core
 from radiosity.core.discretization.hierarchy import Hierarchy, SubdivisionLimits
 from radiosity.core.form_factors.rows_on_demand import rows_on_demand
 from radiosity.core.solvers import SOLVERS
-from radiosity.core.solvers.strategies import STRATEGIES
+from radiosity.core.solvers.strategies import DIVISIONS, LOCAL_ENVIRONMENTS
+from radiosity.core.solvers.transparent_boundary import relative_error
 
 from benchmarks.solver_scenes import SCENES
 
@@ -63,7 +64,7 @@ def test_progressive_refinement_of_rows_agrees_with_that_of_the_matrix(name):
     assert agrees(name, solution.radiosity)
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
+@pytest.mark.parametrize("strategy", DIVISIONS)
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("name", SCENES)
 def test_solvers_inside_strategies_agree_with_the_direct_one(name, solver, strategy):
@@ -79,7 +80,7 @@ def test_solvers_inside_strategies_agree_with_the_direct_one(name, solver, strat
     assert distances(areas, solution.elements, direct.elements).max() < 1e-6
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
+@pytest.mark.parametrize("strategy", DIVISIONS)
 @pytest.mark.parametrize("name", SCENES)
 def test_strategies_agree_with_the_whole_matrix(name, strategy):
     hierarchy, patches, _, _ = room(name)
@@ -94,3 +95,17 @@ def test_strategies_agree_with_the_whole_matrix(name, strategy):
         factors.patch_matrix(), patches.areas, patches.reflectance, patches.emission, solution.radiosity
     )
     assert balance.error < 1e-6
+
+
+@pytest.mark.parametrize("strategy", LOCAL_ENVIRONMENTS)
+@pytest.mark.parametrize("name", SCENES)
+def test_local_environments_agree_with_the_whole_matrix(name, strategy):
+    _, patches, _, direct = room(name)
+    solution = core.solve(patches, method=strategy, accuracy=ACCURACY, tolerance=1e-7)
+    assert solution.converged
+    differences = np.abs(solution.radiosity - direct.radiosity)
+    # The direct solution has noise of its own, as another seed shows.
+    noise = np.abs(room(name, seed=1)[-1].radiosity - direct.radiosity)
+    assert relative_error(patches, differences, direct.radiosity) < solution.estimated_error + relative_error(
+        patches, noise, direct.radiosity
+    )

@@ -8,7 +8,7 @@ import pytest
 from radiosity import core
 from radiosity.core.discretization.hierarchy import SubdivisionLimits
 from radiosity.core.solvers import SOLVERS
-from radiosity.core.solvers.strategies import STRATEGIES
+from radiosity.core.solvers.strategies import DIVISIONS, LOCAL_ENVIRONMENTS, STRATEGIES
 
 from tests.reference_cases import form_factor_cases, polygons_of, solution_cases
 
@@ -30,7 +30,16 @@ def square(point, normal):
 
 def lit_elements(environment, method):
     """Radiosity of an environment's surfaces (n, 3), by a solver or a strategy."""
-    if method not in STRATEGIES:
+    if method in LOCAL_ENVIRONMENTS:
+        return core.solve(
+            environment,
+            method=method,
+            factor_method="contour_integral",
+            visibility="none",
+            accuracy=1e-6,
+            tolerance=1e-8,
+        ).radiosity
+    if method not in DIVISIONS:
         factors = core.form_factors(environment, method="contour_integral", visibility="none", accuracy=1e-6)
         return core.solve(environment, factors, method=method, tolerance=1e-8).radiosity
     choices = {"error": 0.5} if method == "adaptive" else {}

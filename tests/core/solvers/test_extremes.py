@@ -7,7 +7,7 @@ from radiosity.core.discretization.hierarchy import SubdivisionLimits
 from radiosity.core.errors import SolverError
 from radiosity.core.form_factors.rows_on_demand import rows_on_demand
 from radiosity.core.solvers import SOLVERS
-from radiosity.core.solvers.strategies import STRATEGIES
+from radiosity.core.solvers.strategies import DIVISIONS, LOCAL_ENVIRONMENTS, STRATEGIES
 
 from tests.reference_cases import form_factor_cases, polygons_of, solution_cases
 
@@ -23,7 +23,9 @@ def cube(reflectance, emission):
 
 def solve(environment, way, **choices):
     """A solution by the way of its name; the form factors are exact where nothing occludes."""
-    if way in STRATEGIES:
+    if way in LOCAL_ENVIRONMENTS:
+        return core.solve(environment, method=way, **({"accuracy": 2e-3} | choices))
+    if way in DIVISIONS:
         choices = {"limits": LIMITS, "accuracy": 2e-3} | choices | ({"error": 0.3} if way == "adaptive" else {})
         return core.solve(environment, method=way, **choices)
     if way == "rows":
@@ -58,12 +60,12 @@ def test_reflectance_above_1_is_clamped_and_said(way):
 @pytest.mark.parametrize("way", WAYS)
 def test_light_in_a_closed_room_of_reflectance_1_has_no_solution(way):
     environment = cube(1.0, np.array([0, 1.0, 0, 0, 0, 0]))
-    if way in ("direct", *STRATEGIES):
-        # Strategies of so few patches eliminate.
+    if way in ("direct", *DIVISIONS):
+        # Divided surfaces of so few patches are eliminated.
         with pytest.raises(SolverError, match="absorbs nothing"):
             solve(environment, way)
     if way != "direct":
-        for solver in ITERATIVE if way in STRATEGIES else [None]:
+        for solver in ITERATIVE if way in DIVISIONS else [None]:
             choices = {"solver": solver} if solver else {}
             solution = solve(environment, way, max_iterations=20, **choices)
             assert not solution.converged and solution.ended_by == "max_iterations"
@@ -80,7 +82,7 @@ def test_open_room_of_reflectance_1_has_one(way):
     environment = core.Environment.from_polygons(polygons, 1.0, emission)
     # One patch each, as in the published solution.
     whole = SubdivisionLimits(patch_max=2000, patch_min=2000, element_max=1000, element_min=1000)
-    solution = solve(environment, way, tolerance=1e-8, **({"limits": whole} if way in STRATEGIES else {}))
+    solution = solve(environment, way, tolerance=1e-8, **({"limits": whole} if way in DIVISIONS else {}))
     expected = np.concatenate([np.atleast_1d(case["expected"]["B"][name]) for name in names])
     np.testing.assert_allclose(solution.radiosity[:, 0], expected, rtol=case["tolerance"]["fine"]["rel"])
 
@@ -122,5 +124,5 @@ def test_room_without_light_is_dark(reflectance, way):
     solution = solve(cube(reflectance, 0.0), way)
     assert solution.converged and solution.residual == 0
     assert not elements(solution)[0].any()
-    if way in STRATEGIES:
+    if way in DIVISIONS:
         assert solution.rows == len(solution.elements)

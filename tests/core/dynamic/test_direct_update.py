@@ -17,11 +17,14 @@ ALL = LIGHTS | {
     "triangle": AreaLight(SQUARE[:3], np.ones(3)),
 }
 every_light = pytest.mark.parametrize("light", ALL.values(), ids=ALL.keys())
-LEFT = np.arange(-0.5, 0.5, 0.25)
 MOVED = PLATE + np.array([0.25, 0.2, -0.05])
-#: Slats that stay and are so thin that scouts pass them by: what is found of their shade depends on the neighbors.
-SLATS = [np.array([(x, -0.5, 0.3), (x, 0.5, 0.3), (x + 0.01, 0.5, 0.3), (x + 0.01, -0.5, 0.3)]) for x in LEFT]
 RAYS = 64
+
+
+def slats(step, width):
+    """Slats that stay and are so thin that scouts pass them by: what is found of their shade depends on neighbors."""
+    left = np.arange(-0.5, 0.5, step)
+    return [np.array([(x, -0.5, 0.3), (x, 0.5, 0.3), (x + width, 0.5, 0.3), (x + width, -0.5, 0.3)]) for x in left]
 
 
 def boxes_of(*quads):
@@ -39,14 +42,17 @@ def test_ends_hold_all_segments(light):
         assert (ends <= high[:, None] + 1e-5).all()
 
 
+# Few slats tell the neighbors of reached receivers, many the neighbors of those.
+@pytest.mark.parametrize(("step", "width", "divisions"), [(0.25, 0.01, 60), (0.07, 0.02, 30)])
 @every_light
-def test_a_moved_plate_gives_what_a_full_pass_gives(light):
-    points, normals, edges = floor(60)
-    before, _ = run(tracer_of(PLATE, *SLATS), [light], points, normals, edges, RAYS)
-    full, all_rays = run(tracer_of(MOVED, *SLATS), [light], points, normals, edges, RAYS)
+def test_a_moved_plate_gives_what_a_full_pass_gives(light, step, width, divisions):
+    static = slats(step, width)
+    points, normals, edges = floor(divisions)
+    before, _ = run(tracer_of(PLATE, *static), [light], points, normals, edges, RAYS)
+    full, all_rays = run(tracer_of(MOVED, *static), [light], points, normals, edges, RAYS)
     with RayPool(1) as pool:
         work = updated_direct_light(
-            tracer_of(MOVED, *SLATS), [light], points, normals, edges, RAYS, pool, before,
+            tracer_of(MOVED, *static), [light], points, normals, edges, RAYS, pool, before,
             np.zeros(len(points), bool), boxes_of(PLATE, MOVED),
         )  # fmt: skip
         updated, rays = finish(work)
@@ -57,7 +63,7 @@ def test_a_moved_plate_gives_what_a_full_pass_gives(light):
 
 
 def test_far_from_all_ways_nothing_is_asked_again():
-    points, normals, edges = floor(60)
+    points, normals, edges = floor(divisions)
     light = LIGHTS["sphere"]
     before, _ = run(tracer_of(), [light], points, normals, edges, RAYS)
     aside = boxes_of(PLATE + np.array([2.0, 0, 0]))

@@ -63,7 +63,7 @@ def test_a_moved_plate_gives_what_a_full_pass_gives(light, step, width, division
 
 
 def test_far_from_all_ways_nothing_is_asked_again():
-    points, normals, edges = floor(divisions)
+    points, normals, edges = floor()
     light = LIGHTS["sphere"]
     before, _ = run(tracer_of(), [light], points, normals, edges, RAYS)
     aside = boxes_of(PLATE + np.array([2.0, 0, 0]))

@@ -85,6 +85,13 @@ class AreaLight:
         along = np.einsum("nci,ni->nc", segments, normals)
         return segments, shares * np.maximum(along, 0) / np.maximum(square, 1e-30) ** 2
 
+    def ends(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.ends`."""
+        # Places near a point are spread over the rectangle around the polygon.
+        corner, (one, other) = self._rectangle
+        corners = np.array([corner, corner + one, corner + other, corner + one + other])
+        return np.broadcast_to(corners.min(axis=0), points.shape), np.broadcast_to(corners.max(axis=0), points.shape)
+
     @cached_property
     def _rectangle(self) -> tuple[np.ndarray, np.ndarray]:
         """Corner (3,) and sides (2, 3) of the rectangle around the polygon, along its longest side."""

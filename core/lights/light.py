@@ -48,3 +48,8 @@ class Light(Protocol):
         """Segments (n, s, 3) from the points to the middle and the rim of the light: where they agree, and agree with
         those of the neighbors, the light is wholly seen or wholly hidden, unless something small stands between."""
         ...
+
+    def ends(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corners, each (n, 3), of boxes around the ends of all segments from the points (n, 3) that
+        `aim` and `scout` can give: nothing outside the hull of a point and its box stands between it and the light."""
+        ...

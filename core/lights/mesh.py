@@ -102,6 +102,11 @@ class MeshLight:
         chosen = np.where(lacking, chosen[:, :1], chosen)
         return np.take_along_axis(segments, chosen[:, :, None], axis=1)
 
+    def ends(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.ends`."""
+        corners = np.asarray(self.triangles, dtype=float).reshape(-1, 3)
+        return np.broadcast_to(corners.min(axis=0), points.shape), np.broadcast_to(corners.max(axis=0), points.shape)
+
     def _places(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Places (count, 3) spread by emitted power along the order of the tree, and the unit normals there."""
         bounds = np.cumsum(self._weights)

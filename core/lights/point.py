@@ -91,6 +91,13 @@ class PointLight:
         towards = np.asarray(self.position, dtype=float) - points
         return towards[:, None] if self.is_sharp else self.disks_towards(towards, sampling.disk_scouts())
 
+    def ends(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.ends`."""
+        position = np.asarray(self.position, dtype=float)
+        return np.broadcast_to(position - self.radius, points.shape), np.broadcast_to(
+            position + self.radius, points.shape
+        )
+
     def disks_towards(self, towards: np.ndarray, pattern: np.ndarray) -> np.ndarray:
         """Segments (n, count, 3) to places of the disk that the lamp shows, from the segments (n, 3) to its middle."""
         directions = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)

@@ -92,3 +92,7 @@ class SpotLight:
     def scout(self, points: np.ndarray) -> np.ndarray:
         """See `Light.scout`."""
         return self._lamp.scout(points)
+
+    def ends(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.ends`."""
+        return self._lamp.ends(points)

@@ -61,6 +61,13 @@ class SunLight:
         rays = self._rays(sampling.disk(1) if self.is_sharp else sampling.disk_scouts())
         return np.broadcast_to(rays * REACH, (len(points), *rays.shape))
 
+    def ends(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Light.ends`."""
+        # Unit rays are never more than 2 apart.
+        spread = REACH * min(np.tan(self.angle / 2), 2.0) if self.angle < np.pi else 2 * REACH
+        middles = points + REACH * np.asarray(self.direction, dtype=float)
+        return middles - spread, middles + spread
+
     def _rays(self, pattern: np.ndarray) -> np.ndarray:
         direction = np.asarray(self.direction, dtype=float)[None]
         rays = direction + sampling.facing_disks(direction, pattern * np.tan(self.angle / 2))[0]

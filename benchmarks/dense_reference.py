@@ -23,7 +23,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from radiosity.core import bake as pipeline
+from radiosity.core.bake import bake_steps
+from radiosity.core.bake_model import build_model, in_unit_frame, patch_solution_of
 from radiosity.core.bake_plan import plan_for
 from radiosity.core.cleaning import clean
 from radiosity.core.form_factors.sampling import frames, hemisphere_directions, kronecker_points
@@ -77,12 +78,12 @@ class _Paths:
         cleaned = clean(scene.surfaces)
         self.pool = pool
         frame = Frame.around(np.asarray(cleaned.surfaces.vertices, dtype=np.float64))
-        surfaces = replace(cleaned.surfaces, vertices=pipeline._moved(cleaned.surfaces.vertices, frame))
+        surfaces = in_unit_frame(cleaned.surfaces, frame)
         meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
         settings = BakeSettings(accuracy=0.01, seed=77)
-        self.model = pipeline._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
+        self.model = build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
         self.receivers = place_receivers(meshes, self.model.tracer, pool)
-        self.solution = pipeline._patch_solution(self.model, scene, plan, settings, pool)
+        self.solution = patch_solution_of(self.model, scene, plan, settings, pool)
         finish(self.solution.solve())
         self.table = self.solution.table()[:, :3]
 
@@ -205,7 +206,7 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     reference, receivers = dense_reference(scene, options.receivers, options.rays, options.patches)
     rows = []
     for accuracy in options.accuracies:
-        result = finish(pipeline.bake_steps(scene, BakeSettings(accuracy=accuracy, seed=options.seed)))
+        result = finish(bake_steps(scene, BakeSettings(accuracy=accuracy, seed=options.seed)))
         mesh = result.meshes[0]
         found = errors(reference, receivers, mesh.direct, mesh.indirect, mesh.buried)
         statistics = result.statistics

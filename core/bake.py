@@ -14,39 +14,26 @@ from math import inf
 
 import numpy as np
 
+from .bake_model import build_model, in_unit_frame, patch_solution_of
 from .bake_plan import BakePlan, foreseen_memory, plan_for
 from .baked_mesh import BakedMesh, baked_meshes, receiver_warnings
-from .cleaning import clean, compacted
-from .discretization.merging import merge_coplanar
-from .discretization.patch_colors import patch_colors
-from .discretization.patch_polygons import PatchPolygons
-from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
+from .cleaning import clean
 from .errors import EmptySceneError, NoEmittersError, SceneTooLargeError, SettingsError
-from .form_factors.cached_hemispheres import HitTable, WallSides, gather
 from .gathering.indirect_light import indirect_light, uncut_edges
 from .gathering.misplaced import mend_misplaced
 from .gathering.placing import place_receivers
 from .gathering.probe import probe_error
 from .gathering.walled_off import find_walled_off
-from .keys import row_keys
-from .light_groups import BANDS, joined, shared_out, spread
+from .light_groups import joined, shared_out
 from .lights.direct_light import direct_light
-from .lights.emissive import grouped_area_lights
-from .matrix_plan import FACTOR_SHARE, check_size, check_surfaces, chosen_names, has_name, matrix_plan
-from .progress import Progress, finish, shared_progress
+from .matrix_plan import check_surfaces, chosen_names, has_name, matrix_plan
+from .progress import Progress, shared_progress
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
 from .solvers.matrix_checks import check_matrix, matrix_statistics, matrix_warnings
 from .solvers.matrix_solution import MatrixSolution
 from .solvers.patch_checks import check_patches
-from .solvers.patch_solution import PatchSolution
-from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
-
-#: Cells to which something stands nearer than this many of their sides are split: light changes over that distance.
-NEAR = 1.0
-
-#: Rays per sample point that measure how near.
-PROBE_RAYS = 8
+from .visibility.embree import Frame, RayPool
 
 
 @dataclass(frozen=True)
@@ -83,23 +70,6 @@ class _Clock:
         return time.perf_counter() - self.started
 
 
-@dataclass
-class _Model:
-    """The scene in the unit frame, ready for rays."""
-
-    frame: Frame
-    tracer: Tracer
-    patches: Patches
-    reflectance: np.ndarray
-    emission: np.ndarray  # (P, c)
-    two_sided: np.ndarray
-    black_back: np.ndarray
-    sides: WallSides | None
-    lights: list
-    light_colors: np.ndarray  # (L, c)
-    polygons: PatchPolygons | None
-
-
 def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None, BakeResult]:
     """Bake in steps of some tens of milliseconds; the generator's return value is the result.
 
@@ -126,7 +96,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
         _check(scene, cleaned.surfaces, plan, settings)
         warnings, triangles = [*scene.warnings, *cleaned.warnings], len(scene.surfaces.triangles)
         frame = Frame.around(np.asarray(cleaned.surfaces.vertices, dtype=np.float64))
-        surfaces = replace(cleaned.surfaces, vertices=_moved(cleaned.surfaces.vertices, frame))
+        surfaces = in_unit_frame(cleaned.surfaces, frame)
         meshes = [replace(mesh, positions=frame.to_unit(mesh.positions)) for mesh in scene.receivers]
         # Which rows they were is what shaders ask.
         rows = None if surfaces.shader is None else cleaned.rows
@@ -136,7 +106,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
     with RayPool(settings.threads) as pool:
         yield Progress(0.01, "Preparing surfaces to trace")
         with clock.stage("trace mesh"):
-            model = _build_model(surfaces, frame, rows, scene, plan, settings, pool)
+            model = build_model(surfaces, frame, rows, scene, plan, settings, pool)
         del surfaces, rows
         yield Progress(0.05, "Preparing receivers")
         with clock.stage("receivers"):
@@ -146,7 +116,7 @@ def bake_steps(scene: Scene, settings: BakeSettings) -> Generator[Progress, None
             del meshes
         if not len(receivers):
             raise EmptySceneError("No usable vertex to light: all receiving meshes are empty or broken")
-        solution = _patch_solution(model, scene, plan, settings, pool)
+        solution = patch_solution_of(model, scene, plan, settings, pool)
         with clock.stage("patches"):
             message = f"Form factors by {settings.method}" if has_name(settings) else "Solving patches"
             yield from _told(solution.solve(), 0.1, 0.3, message)
@@ -221,150 +191,6 @@ def _check(scene: Scene, surfaces: Surfaces, plan: BakePlan, settings: BakeSetti
             f"{needed / 1e6:,.0f} MB, and the limit is {settings.memory_limit / 1e6:,.0f} MB: select fewer objects or "
             "raise the limit"
         )
-
-
-def _moved(vertices: np.ndarray, frame: Frame) -> np.ndarray:
-    """(n, 3) float64 vertices in the unit frame."""
-    moved = vertices - frame.center
-    moved /= frame.size
-    return moved
-
-
-def _build_model(
-    surfaces: Surfaces,
-    frame: Frame,
-    rows: np.ndarray | None,
-    scene: Scene,
-    plan: BakePlan,
-    settings: BakeSettings,
-    pool: RayPool,
-) -> _Model:
-    """The model of surfaces in the unit frame; `rows` (m,) are theirs in the surfaces that the shader knows."""
-    groups = scene.groups
-    count = 0 if groups is None else len(groups.names)
-    owners = np.zeros(len(surfaces.triangles), int) if groups is None else groups.objects[surfaces.objects]
-    looks = _looks(surfaces, owners)
-    merged = merge_coplanar(surfaces.vertices, surfaces.triangles, looks)
-    source = merged.source
-    worn = surfaces.palette_of(source)
-    corners, triangles = compacted(merged.vertices, merged.triangles)
-    two_sided = surfaces.two_sided[source]
-    bright = [row for row, light in enumerate(scene.lights) if np.any(light.power > 0)]
-    lamps = [scene.lights[row].in_frame(frame.center, frame.size) for row in bright]
-    # In the unit frame, where a sun's flux is that through one unit of area whatever the scene's size.
-    lamp_power = sum(float(light.power.max()) for light in lamps)
-    shining, sampled, members = grouped_area_lights(
-        corners, triangles, surfaces.emission[worn], two_sided, lamp_power, owners[source]
-    )
-    lights = [*lamps, *shining]
-    if groups is not None:
-        members = np.concatenate([np.asarray(groups.lights, dtype=int)[bright], members])
-    light_colors = spread(np.array([light.color for light in lights]).reshape(-1, BANDS), members, count)
-    tracer = Tracer.build(corners.astype(np.float32), triangles, surfaces.transmittance[worn])
-    patches = build_patches(corners, triangles, looks[source], plan.patches)
-    cells, starts, segments = probe_segments(patches, corners, triangles)
-    crossed = _crossed(tracer, starts, segments, pool)
-    nearness = _nearness(tracer, patches, cells, pool)
-    urgent = np.lexsort((nearness, ~crossed))
-    urgent = urgent[crossed[urgent] | (nearness[urgent] < NEAR)]
-    whole = patches.count
-    patches = split_cells(patches, corners, triangles, cells[urgent], plan.patches)
-    # Parts that a wall still crosses are split once more: they alone would carry light to its other side.
-    cells, starts, segments = probe_segments(patches, corners, triangles, whole)
-    crossed = _crossed(tracer, starts, segments, pool)
-    patches = split_cells(patches, corners, triangles, cells[crossed], plan.patches)
-    check_size(patches, settings)
-    cells, starts, segments = probe_segments(patches, corners, triangles)
-    walled = np.zeros(patches.count, bool)
-    walled[cells[_crossed(tracer, starts, segments, pool)]] = True
-    # Only next to small patches is it sure that what lies aside is on the same side.
-    walled &= np.sqrt(patches.areas) < 0.5 * patches.spacing
-    reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled)
-    return _Model(
-        frame=frame,
-        tracer=tracer,
-        patches=patches,
-        reflectance=reflectance,
-        emission=spread(emission, owners[source[patches.point_triangles[:, 0]]], count),
-        two_sided=two_sided[patches.point_triangles[:, 0]],
-        black_back=~two_sided,
-        sides=WallSides.of(walled, corners[triangles], patches.areas) if walled.any() else None,
-        lights=lights,
-        light_colors=light_colors,
-        polygons=PatchPolygons.of(patches, corners, triangles) if has_name(settings) else None,
-    )
-
-
-def _crossed(tracer: Tracer, starts: np.ndarray, segments: np.ndarray, pool: RayPool) -> np.ndarray:
-    """(n,) bool: whether anything crosses one of the segments (n, s, 3) of each row."""
-    count, each = starts.shape[:2]
-    seen = np.ones((count, each), bool)
-
-    def work(start: int, stop: int) -> None:
-        begin = starts[start:stop].reshape(-1, 3).astype(np.float32)
-        passed = tracer.visibility(begin, segments[start:stop].reshape(-1, 3).astype(np.float32), 1.0)
-        seen[start:stop] = passed.reshape(-1, each) > 0
-
-    pool.run(work, count, CHUNK_RAYS // each)
-    return ~seen.all(axis=1)
-
-
-def _nearness(tracer: Tracer, patches: Patches, cells: np.ndarray, pool: RayPool) -> np.ndarray:
-    """(n,) harmonic mean distance to what stands around each cell, in sides of the cell."""
-    points, normals = patches.points[cells].reshape(-1, 3), patches.normals[cells].reshape(-1, 3)
-    nowhere = HitTable(patches, np.zeros(len(patches.first), bool), None)
-    seen = finish(gather(tracer, nowhere, points, normals, PROBE_RAYS, pool))
-    distances = 1 / (1 / seen.distances).reshape(-1, POINTS).mean(axis=1)
-    return distances / np.sqrt(patches.areas[cells])
-
-
-def _looks(surfaces: Surfaces, groups: np.ndarray) -> np.ndarray:
-    """Numbers (m,) that are equal where triangles, of light groups (m,), may be merged."""
-    # Textured emission and transparency are means over one triangle each, so those triangles stay as they are.
-    shining = (surfaces.emission > 0).any(axis=1) | (surfaces.transmittance > 0)
-    single = surfaces.textured & surfaces.wearing(shining)
-    alone = np.where(single, np.arange(1, len(single) + 1, dtype=np.int32), np.int32(0))
-    different, looks = np.unique(row_keys(surfaces.materials, surfaces.two_sided, alone), return_inverse=True)
-    # What shines is of one group. The order stays: a scene whose groups differ in looks anyway gets the same numbers.
-    different, looks = np.unique(
-        looks.reshape(-1) * (int(groups.max(initial=0)) + 1) + groups * surfaces.wearing(shining), return_inverse=True
-    )
-    return looks.reshape(-1).astype(np.min_scalar_type(len(different)))
-
-
-def _patch_solution(
-    model: _Model, scene: Scene, plan: BakePlan, settings: BakeSettings, pool: RayPool
-) -> PatchSolution:
-    # A method knows no two sides of a patch.
-    sides = model.sides if settings.method == "auto" else None
-    sky = None if scene.sky_is_dark else scene.sky
-    sky_columns = (0,) if scene.groups is None else (0, BANDS * (1 + scene.groups.sky))
-    parts = dict(
-        tracer=model.tracer,
-        hits_to_rows=HitTable(model.patches, model.black_back, sky, sides, sky_columns),
-        lights=model.lights,
-        light_colors=model.light_colors,
-        reflectance=model.reflectance,
-        emission=model.emission,
-        two_sided=model.two_sided,
-        rays=plan.patch_rays,
-        penumbra_rays=plan.penumbra_rays,
-        pool=pool,
-        seed=settings.seed,
-        tolerance=plan.tolerance,
-        detail=plan.patch_detail,
-    )
-    if not has_name(settings):
-        return PatchSolution(**parts)
-    return MatrixSolution(
-        **parts,
-        polygons=model.polygons,
-        crossed=np.zeros(model.patches.count, bool) if model.sides is None else model.sides.crossed,
-        method=settings.method,
-        solver=settings.solver,
-        factor_accuracy=FACTOR_SHARE * settings.accuracy,
-        light_accuracy=settings.accuracy,
-    )
 
 
 def _told(work: Generator, low: float, high: float, message: str) -> Generator[Progress, None, object]:

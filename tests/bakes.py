@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from radiosity.core import bake as module
 from radiosity.core.bake import BakeResult, bake_steps
+from radiosity.core.bake_model import build_model, in_unit_frame, patch_solution_of
 from radiosity.core.bake_plan import plan_for
 from radiosity.core.cleaning import clean
 from radiosity.core.matrix_plan import has_name, matrix_plan
@@ -112,10 +112,10 @@ def solved_patches(scene: Scene, accuracy: float = 0.1, **settings):
     if has_name(settings):
         plan = matrix_plan(plan, accuracy)
     frame = Frame.around(cleaned.surfaces.vertices)
-    surfaces = replace(cleaned.surfaces, vertices=module._moved(cleaned.surfaces.vertices, frame))
+    surfaces = in_unit_frame(cleaned.surfaces, frame)
     with RayPool(1) as pool:
-        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
-        solution = module._patch_solution(model, scene, plan, settings, pool)
+        model = build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
+        solution = patch_solution_of(model, scene, plan, settings, pool)
         finish(solution.solve())
     return solution, model
 

@@ -374,7 +374,7 @@ def test_memory_is_refused_with_numbers_before_any_work(monkeypatch):
     def never(*_):
         raise AssertionError("work began")
 
-    monkeypatch.setattr(module, "_build_model", never)
+    monkeypatch.setattr(module, "build_model", never)
     scene = scene_of(floor(50), lights=[LAMP])
     with pytest.raises(errors.SceneTooLargeError, match=r"10,000 corners among 5,000 triangles .* \d+ MB,.* 1 MB"):
         bake(scene, memory_limit=1e6)

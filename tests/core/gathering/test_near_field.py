@@ -1,23 +1,19 @@
 """Light at contacts: as good as within faces, told by the estimate, exact where all is uniform; what a contact is."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from radiosity.core import bake as module
 from radiosity.core.bake_plan import plan_for
-from radiosity.core.cleaning import clean
 from radiosity.core.form_factors.cached_hemispheres import gather
 from radiosity.core.gathering.contacts import find_contacts, find_ends
 from radiosity.core.gathering.near_field import near_field
 from radiosity.core.gathering.receivers import build_receivers
 from radiosity.core.lights.direct_light import direct_light
 from radiosity.core.progress import finish
-from radiosity.core.settings import BakeSettings
 from radiosity.core.visibility.embree import Frame, RayPool, Tracer
 
-from tests.bakes import bake
+from tests.bakes import bake, solved_patches
 from tests.scenes import box, cornell_box, furnace_box, scene_from_quads
 
 ACCURACIES = (0.1, 0.03)
@@ -65,20 +61,15 @@ def test_estimate_tells_the_error_of_all_receivers(accuracy):
 
 def test_nothing_changes_where_radiosity_is_uniform():
     scene = furnace_box(divisions=4)
-    cleaned, plan, settings = clean(scene.surfaces), plan_for(0.1), BakeSettings(accuracy=0.1)
+    solution, model = solved_patches(scene, 0.1)
     with RayPool(1) as pool:
-        frame = Frame.around(cleaned.surfaces.vertices)
-        surfaces = replace(cleaned.surfaces, vertices=module._moved(cleaned.surfaces.vertices, frame))
-        model = module._build_model(surfaces, frame, cleaned.rows, scene, plan, settings, pool)
-        solution = module._patch_solution(model, scene, plan, settings, pool)
-        finish(solution.solve())
-        receivers = build_receivers(scene.receivers, frame)
+        receivers = build_receivers(scene.receivers, model.frame)
         points, normals, names = receivers.points, receivers.normals, np.arange(len(receivers))
         seen = finish(gather(solution.tracer, solution.hits_to_rows, points, normals, 128, pool, 3, names))
         alone = np.empty((0, 2), np.int32)
         direct, _ = finish(direct_light(solution.tracer, model.lights, points, normals, alone, 64, pool))
         arriving = seen.irradiance(solution.table())
-        work = near_field(solution, points, normals, seen, arriving, direct, plan.indirect.near, 3, names)
+        work = near_field(solution, points, normals, seen, arriving, direct, plan_for(0.1).indirect.near, 3, names)
         mended, rays = finish(work)
     assert rays > 0
     # The solver stops at 2e-4 of the radiosity, and so does the balance on which the mend rests.

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .edge_matching import MIX, PARTS, match_edges, next_corner
+
 # Largest distance between a region and its plane, in units of the scene's diagonal. With an equal allowance for
 # straightening borders, the merged surface stays within 1e-6 of the scene: ten times float32's rounding at that scale.
 SCENE_TOLERANCE = 5e-7
@@ -32,9 +34,6 @@ LARGEST_BEND = 0.99
 SMALLEST_REGION = 4
 
 _CHUNK = 1 << 16  # triangles per block: their corners fit into the processor's cache
-# Parts in which edges are matched: each takes an eighth of the memory, and one look at all edges.
-_PARTS = 8
-_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
     # Nothing is copied where all are looked at.
     rows = slice(None) if len(candidates) == len(triangles) else candidates
     cells, keys, corners = cells[rows], np.asarray(keys)[rows], triangles[rows]
-    twins, weld = _match_edges(vertices, triangles, candidates, corners, keys, cells)
+    twins, weld = match_edges(vertices, triangles, candidates, corners, keys, cells)
     links = _links(vertices, corners, cells, twins, size)
     del cells
     labels, big, flat, planes, tolerances = _measure(vertices, corners, _components(links, twins), size)
@@ -115,7 +114,7 @@ def find_planar_regions(vertices: np.ndarray, triangles: np.ndarray, keys: np.nd
         normals=planes[flat],
         tolerances=tolerances[flat],
         border_origins=weld[corners.ravel()[half_edges]],
-        border_targets=weld[corners.ravel()[_next_corner(half_edges)]],
+        border_targets=weld[corners.ravel()[next_corner(half_edges)]],
         border_regions=labels[half_edges // 3],
         weld=weld,
     )
@@ -169,13 +168,13 @@ def _plane_cells(vertices, triangles, keys, size):
             nx, ny, nz = (np.where(spans, component / length, 0.0) for component in (nx, ny, nz))
             offset = nx * (x[0] - center[0]) + ny * (y[0] - center[1]) + nz * (z[0] - center[2])
             offset = np.where(spans, offset, 0.0)
-            key = np.asarray(keys[rows]).astype(np.int64).view(np.uint64) * _MIX[0]
+            key = np.asarray(keys[rows]).astype(np.int64).view(np.uint64) * MIX[0]
             for grid, factor in zip(grids, (1.0, COARSE), strict=True):
                 mixed = key
                 for value, cell in zip((nx, ny, nz, offset), cell_sizes * factor, strict=True):
                     # Half a cell of shift: common planes, axis-aligned ones, lie inside of cells and not between two.
                     whole = np.floor(value / cell + 0.5).astype(np.int64).view(np.uint64)
-                    mixed = (mixed ^ whole) * _MIX[1]
+                    mixed = (mixed ^ whole) * MIX[1]
                     mixed ^= mixed >> np.uint64(29)
                 grid[rows] = np.where(spans, mixed | np.uint64(1), np.uint64(0))
     return grids
@@ -193,136 +192,6 @@ def _is_shared(cells):
         # Less than SMALLEST_REGION: what is flat but noisy may spread over cells.
         shared[start : start + part] = counts >= 3
     return shared[buckets] & (buckets >= 0)
-
-
-def _match_edges(vertices, triangles, candidates, corners, keys, cells):
-    """Twin of each half-edge (-1 for none) and the welded number of each vertex.
-
-    Vertices at the same position are told apart only by what lies between: meshes split there for their normals or
-    UVs. Welding is dear, so it is done for those that lie on an edge without a twin.
-    """
-    origins = corners.ravel()
-    twins = np.full(len(origins), -1, dtype=np.int32)
-    _pair_all(twins, None, corners, keys, cells, len(vertices))
-    open_edges = np.flatnonzero(twins < 0).astype(np.int32)
-    weld = np.arange(len(vertices), dtype=np.int32)
-    if len(open_edges) == 0:
-        return twins, weld
-    on_border = np.zeros(len(vertices), dtype=bool)
-    on_border[origins[open_edges]] = True
-    on_border[origins[_next_corner(open_edges)]] = True
-    others = np.ones(len(triangles), dtype=bool)
-    others[candidates] = False
-    elsewhere = np.zeros(len(vertices), dtype=bool)
-    elsewhere[triangles[others].ravel()] = True
-    if _weld(weld, vertices, on_border, elsewhere):
-        _pair_all(twins, open_edges, weld[corners], keys, cells, len(vertices))
-    return twins, weld
-
-
-def _next_corner(half_edges):
-    """Half-edges that follow in the same triangle."""
-    return half_edges + np.where(half_edges % 3 == 2, -2, 1).astype(half_edges.dtype)
-
-
-def _pair_all(twins, half_edges, corners, keys, cells, vertex_count):
-    """Write the twins of `half_edges`, or of all where that is None: an edge belongs to its lower vertex, and those of
-    a range of vertices are matched at a time."""
-    following = corners[:, [1, 2, 0]]
-    lower = np.minimum(corners, following).ravel() if half_edges is None else None
-    del following
-    if half_edges is not None:
-        origins = corners.ravel()
-        lower = np.minimum(origins[half_edges], origins[_next_corner(half_edges)])
-    bounds = np.linspace(0, vertex_count, _PARTS + 1).astype(np.int64)
-    for low, high in itertools.pairwise(bounds):
-        part = np.flatnonzero((lower >= low) & (lower < high)).astype(np.int32)
-        if len(part):
-            _pair(twins, part if half_edges is None else half_edges[part], corners, keys, cells, vertex_count)
-
-
-def _pair(twins, half_edges, corners, keys, cells, vertex_count):
-    """Write the twins of `half_edges`: the same edge run the other way by a triangle with the same key."""
-    origins = corners.ravel()
-    first, second = origins[half_edges], origins[_next_corner(half_edges)]
-    edges = np.minimum(first, second).astype(np.uint64)
-    edges *= np.uint64(vertex_count)
-    edges += np.maximum(first, second).astype(np.uint64)
-    del first, second
-    index_bits = np.uint64(max(1, int(len(half_edges) - 1).bit_length()))
-    if int(index_bits) + int(vertex_count * vertex_count).bit_length() <= 64:
-        # Edge and index in one number: sorting it is several times faster than an argsort.
-        edges <<= index_bits
-        edges |= np.arange(len(edges), dtype=np.uint64)
-        edges.sort()
-        order = half_edges[(edges & np.uint64((1 << int(index_bits)) - 1)).astype(np.int32)]
-        edges >>= index_bits
-    else:
-        order = np.argsort(edges, kind='stable')
-        edges, order = edges[order], half_edges[order]
-    same = np.zeros(len(edges) + 1, dtype=bool)
-    np.equal(edges[1:], edges[:-1], out=same[1:-1])
-    # Row i is the first of exactly two equal ones.
-    first = ~same[:-1]
-    first &= same[1:]
-    first[:-1] &= ~same[2:]
-    pairs = np.flatnonzero(first)
-    _write_pairs(twins, order[pairs], order[pairs + 1], origins, keys)
-    third = same[1:-1] & same[:-2]
-    if not third.any():
-        return
-    group = np.cumsum(~same[:-1]) - 1
-    # Three faces or more at one edge, a wall on a floor: those of one plane belong together.
-    crowded = np.zeros(len(edges), dtype=bool)
-    crowded[group[np.flatnonzero(third)]] = True
-    rows = np.flatnonzero(crowded[group])
-    members = order[rows]
-    by_plane = np.lexsort((cells[members // 3], keys[members // 3], edges[rows]))
-    members, edges = members[by_plane], edges[rows][by_plane]
-    faces = members // 3
-    alike = (edges[1:] == edges[:-1]) & (keys[faces[1:]] == keys[faces[:-1]]) & (cells[faces[1:]] == cells[faces[:-1]])
-    # Exactly two of one plane: more would be coincident faces, and which one continues which is anybody's guess.
-    before, after = np.concatenate([[False], alike[:-1]]), np.concatenate([alike[1:], [False]])
-    alone = np.flatnonzero(alike & ~before & ~after)
-    _write_pairs(twins, members[alone], members[alone + 1], origins, keys)
-
-
-def _write_pairs(twins, a, b, origins, keys):
-    fits = (origins[a] != origins[b]) & (keys[a // 3] == keys[b // 3])
-    a, b = a[fits], b[fits]
-    twins[a], twins[b] = b, a
-
-
-def _weld(weld, vertices, on_border, elsewhere):
-    """Give border vertices at one position one number, and those of other triangles there too; whether any changed."""
-    rows = np.flatnonzero(on_border)
-    hashes = _position_hashes(vertices[rows])
-    table = np.zeros(1 << 22, dtype=bool)
-    shift = np.uint64(42)
-    table[(hashes >> shift).astype(np.int64)] = True
-    others = np.flatnonzero(elsewhere & ~on_border)
-    other_hashes = _position_hashes(vertices[others])
-    met = table[(other_hashes >> shift).astype(np.int64)]
-    rows = np.concatenate([rows, others[met]])
-    hashes = np.concatenate([hashes, other_hashes[met]])
-    by_row = np.argsort(rows, kind='stable')
-    rows, hashes = rows[by_row], hashes[by_row]
-    order = np.argsort(hashes, kind='stable')
-    rows, hashes = rows[order], hashes[order]
-    new = np.concatenate([[True], hashes[1:] != hashes[:-1]])
-    leaders = rows[np.maximum.accumulate(np.where(new, np.arange(len(rows)), 0))]
-    equal = (vertices[rows] == vertices[leaders]).all(axis=1)
-    weld[rows[equal]] = leaders[equal]
-    return bool((weld[rows] != rows).any())
-
-
-def _position_hashes(positions):
-    bits = np.ascontiguousarray(positions + 0.0).view(np.uint64)  # + 0.0: minus zero is zero
-    mixed = np.zeros(len(bits), dtype=np.uint64)
-    for axis in range(3):
-        mixed = (mixed ^ bits[:, axis]) * _MIX[axis]
-        mixed ^= mixed >> np.uint64(31)
-    return mixed * _MIX[0]
 
 
 def _links(vertices, corners, cells, twins, size):
@@ -405,7 +274,7 @@ def _planes(vertices, corners, labels, count, size):
     sizes = np.bincount(labels[labels >= 0], minlength=count)
     ends = np.concatenate([[0], np.cumsum(sizes)])
     normals, tolerances, flat = np.zeros((count, 3)), np.zeros(count), np.zeros(count, dtype=bool)
-    for first, last in _groups(ends, max(ends[-1] // _PARTS, _CHUNK)):
+    for first, last in _groups(ends, max(ends[-1] // PARTS, _CHUNK)):
         rows = np.flatnonzero((labels >= first) & (labels < last)).astype(np.int32)
         if last - first > 1:
             # A radix sort, where the numbers fit into 16 bits.

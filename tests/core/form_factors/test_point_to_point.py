@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from radiosity import core
 from radiosity.core.errors import SettingsError
-from radiosity.core.form_factors.point_to_point import (
-    cell_middles,
-    grid_steps,
-    point_to_point_rows,
-    point_to_vertices,
-    vertex_grid,
-)
+from radiosity.core.form_factors.point_to_point import point_to_point_rows, point_to_vertices
+from radiosity.core.form_factors.vertex_grid import cell_middles, grid_steps, vertex_grid
 from radiosity.core.visibility.silhouettes import SilhouetteVisibility
 
 from tests.reference_cases import allowed, form_factor_cases, ids, in_order, polygons_of, surface_matrix

@@ -1,5 +1,7 @@
 """Adaptive subdivision: where it divides, what it reuses, and what it must agree with."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from radiosity import core
@@ -10,6 +12,7 @@ from radiosity.core.solvers.two_level import PatchRows
 from benchmarks.solver_scenes import SCENES
 
 LIMITS = SubdivisionLimits(patch_max=600, patch_min=300, element_max=250, element_min=60, max_elements=5000)
+FACTOR_ERROR = 1e-2
 
 
 def floor_with_table(emission=5.0):
@@ -21,13 +24,19 @@ def floor_with_table(emission=5.0):
 
 
 def solve(environment, error, **choices):
-    choices = {"limits": LIMITS, "accuracy": 2e-3, "factor_method": "contour_integral"} | choices
+    choices = {"limits": LIMITS, "accuracy": FACTOR_ERROR, "factor_method": "contour_integral"} | choices
     return core.solve(environment, method="adaptive", error=error, **choices)
+
+
+@cache
+def solved_table(error):
+    """The floor with its table, solved once for all tests that only look."""
+    return solve(floor_with_table(), error)
 
 
 def test_elements_are_small_along_the_shadow_edge_only():
     # Differences of the light's fall with distance stay below this error.
-    solution = solve(floor_with_table(), 0.7)
+    solution = solved_table(0.7)
     hierarchy = solution.hierarchy
     floor = hierarchy.elements[hierarchy.surfaces[hierarchy.elements] == 0]
     middles, areas = hierarchy.corners[floor].mean(axis=1), hierarchy.areas[floor]
@@ -48,10 +57,9 @@ def test_nothing_is_divided_where_light_is_even():
 
 
 def test_result_is_that_of_its_own_elements_from_scratch():
-    environment = floor_with_table()
-    solution = solve(environment, 0.3)
+    solution = solved_table(0.4)
     hierarchy = solution.hierarchy
-    rows = PatchRows(hierarchy, "contour_integral", accuracy=2e-3)
+    rows = PatchRows(hierarchy, "contour_integral", accuracy=FACTOR_ERROR)
     again = rows.solve(hierarchy, rows.of(hierarchy, hierarchy.elements), "auto", 1e-6, None, None)
     # Sums over rows, in another order for another number of rows.
     np.testing.assert_allclose(again.elements, solution.elements, rtol=1e-13)
@@ -61,17 +69,17 @@ def test_result_is_that_of_its_own_elements_from_scratch():
 
 def test_smaller_error_divides_more_and_keeps_limits():
     counts = []
-    for error in (1.0, 0.4, 0.15):
-        solution = solve(floor_with_table(), error)
+    for error in (1.0, 0.7, 0.4):
+        solution = solved_table(error)
         counts.append(len(solution.elements))
         assert not len(solution.hierarchy.crowded())
     assert counts[0] < counts[1] < counts[2]
-    capped = solve(floor_with_table(), 0.15, limits=SubdivisionLimits(600, 300, 250, 60, max_elements=counts[0]))
+    capped = solve(floor_with_table(), 0.4, limits=SubdivisionLimits(600, 300, 250, 60, max_elements=counts[0]))
     assert len(capped.elements) <= counts[0]
 
 
 def test_brightness_of_the_light_does_not_matter():
-    one, other = (solve(floor_with_table(emission), 0.4) for emission in (5.0, 5e-7))
+    one, other = solved_table(0.4), solve(floor_with_table(5e-7), 0.4)
     np.testing.assert_array_equal(one.hierarchy.corners, other.hierarchy.corners)
     np.testing.assert_allclose(other.elements * 1e7, one.elements, rtol=1e-9)
 
@@ -90,7 +98,7 @@ def test_threads_and_repetition_do_not_matter():
 
 
 def test_shading_has_no_gaps():
-    mesh = conforming_mesh(solve(floor_with_table(), 0.3).hierarchy)
+    mesh = conforming_mesh(solved_table(0.4).hierarchy)
     floor = mesh.triangles[mesh.surfaces[mesh.triangles[:, 0]] == 0]
     sides = np.sort(np.concatenate([floor[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
     sides, counts = np.unique(sides, axis=0, return_counts=True)

@@ -1,7 +1,4 @@
-"""A bake's scene made ready: moved to the unit frame, merged for rays, divided into patches, with its lights.
-
-Cells that a wall crosses, or that something stands near to, are split until each belongs to one side.
-"""
+"""A bake's scene made ready: moved to the unit frame, merged for rays, divided into patches, with its lights."""
 
 from __future__ import annotations
 
@@ -14,24 +11,18 @@ from .cleaning import compacted
 from .discretization.merging import merge_coplanar
 from .discretization.patch_colors import patch_colors
 from .discretization.patch_polygons import PatchPolygons
-from .discretization.patches import POINTS, Patches, build_patches, probe_segments, split_cells
-from .form_factors.cached_hemispheres import HitTable, WallSides, gather
+from .discretization.patches import Patches
+from .dividing import divided_patches
+from .form_factors.cached_hemispheres import HitTable, WallSides
 from .keys import row_keys
 from .light_groups import BANDS, spread
 from .lights.emissive import grouped_area_lights
 from .matrix_plan import FACTOR_SHARE, check_size, has_name
-from .progress import finish
 from .scene import Scene, Surfaces
 from .settings import BakeSettings
 from .solvers.matrix_solution import MatrixSolution
 from .solvers.patch_solution import PatchSolution
-from .visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
-
-#: Cells to which something stands nearer than this many of their sides are split: light changes over that distance.
-NEAR = 1.0
-
-#: Rays per sample point that measure how near.
-PROBE_RAYS = 8
+from .visibility.embree import Frame, RayPool, Tracer
 
 
 @dataclass
@@ -89,24 +80,10 @@ def build_model(
         members = np.concatenate([np.asarray(groups.lights, dtype=int)[bright], members])
     light_colors = spread(np.array([light.color for light in lights]).reshape(-1, BANDS), members, count)
     tracer = Tracer.build(corners.astype(np.float32), triangles, surfaces.transmittance[worn])
-    patches = build_patches(corners, triangles, looks[source], plan.patches)
-    cells, starts, segments = probe_segments(patches, corners, triangles)
-    crossed = _crossed(tracer, starts, segments, pool)
-    nearness = _nearness(tracer, patches, cells, pool)
-    urgent = np.lexsort((nearness, ~crossed))
-    urgent = urgent[crossed[urgent] | (nearness[urgent] < NEAR)]
-    whole = patches.count
-    patches = split_cells(patches, corners, triangles, cells[urgent], plan.patches)
-    # Parts that a wall still crosses are split once more: they alone would carry light to its other side.
-    cells, starts, segments = probe_segments(patches, corners, triangles, whole)
-    crossed = _crossed(tracer, starts, segments, pool)
-    patches = split_cells(patches, corners, triangles, cells[crossed], plan.patches)
+    patches, walled = divided_patches(
+        tracer, lights, corners, triangles, looks[source], plan.patches, pool, settings.seed
+    )
     check_size(patches, settings)
-    cells, starts, segments = probe_segments(patches, corners, triangles)
-    walled = np.zeros(patches.count, bool)
-    walled[cells[_crossed(tracer, starts, segments, pool)]] = True
-    # Only next to small patches is it sure that what lies aside is on the same side.
-    walled &= np.sqrt(patches.areas) < 0.5 * patches.spacing
     reflectance, emission = patch_colors(patches, corners, triangles, surfaces, source, rows, sampled)
     return BakeModel(
         frame=frame,
@@ -157,29 +134,6 @@ def patch_solution_of(
         factor_accuracy=FACTOR_SHARE * settings.accuracy,
         light_accuracy=settings.accuracy,
     )
-
-
-def _crossed(tracer: Tracer, starts: np.ndarray, segments: np.ndarray, pool: RayPool) -> np.ndarray:
-    """(n,) bool: whether anything crosses one of the segments (n, s, 3) of each row."""
-    count, each = starts.shape[:2]
-    seen = np.ones((count, each), bool)
-
-    def work(start: int, stop: int) -> None:
-        begin = starts[start:stop].reshape(-1, 3).astype(np.float32)
-        passed = tracer.visibility(begin, segments[start:stop].reshape(-1, 3).astype(np.float32), 1.0)
-        seen[start:stop] = passed.reshape(-1, each) > 0
-
-    pool.run(work, count, CHUNK_RAYS // each)
-    return ~seen.all(axis=1)
-
-
-def _nearness(tracer: Tracer, patches: Patches, cells: np.ndarray, pool: RayPool) -> np.ndarray:
-    """(n,) harmonic mean distance to what stands around each cell, in sides of the cell."""
-    points, normals = patches.points[cells].reshape(-1, 3), patches.normals[cells].reshape(-1, 3)
-    nowhere = HitTable(patches, np.zeros(len(patches.first), bool), None)
-    seen = finish(gather(tracer, nowhere, points, normals, PROBE_RAYS, pool))
-    distances = 1 / (1 / seen.distances).reshape(-1, POINTS).mean(axis=1)
-    return distances / np.sqrt(patches.areas[cells])
 
 
 def _looks(surfaces: Surfaces, groups: np.ndarray) -> np.ndarray:

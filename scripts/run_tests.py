@@ -13,7 +13,6 @@ import sys  # noqa: E402
 
 import pytest  # noqa: E402
 
-
 #: Each process holds Blender and a scene or two, about half a gigabyte.
 MOST_PROCESSES = 8
 

@@ -89,7 +89,8 @@ def test_patches_partly_inside_solids_keep_the_balance(seed):
     solution, _ = solved_patches(scene, 0.3, seed=seed)
     count = solution.patches.count
     share = solution.open_areas[:count] / np.where(solution.patches.areas > 0, solution.patches.areas, 1)
-    assert ((share > 0) & (share < 1)).sum() > 20
+    # Most of them have been split where the lamp lights one part only; what is tested needs some that are left.
+    assert ((share > 0) & (share < 1)).sum() > 10
     assert solution.enclosed[count:].any()
     # To the end of float32, for what is left of the bounces counts as well.
     finish(solution._iterate(1e-6))

@@ -1,9 +1,11 @@
-"""Ears: the triangle of a corner and its two neighbors around a face, and samples of the corner's share of the face.
+"""Ears: triangles over which a value stored at a corner shows, and samples of the corner's share of them.
 
-A value stored at a corner shows over its ears, most near the corner and not at all at the opposite side. A sample
-stands for as much of the picture as its area times the corner's own weight there in the interpolation.
+It shows most near the corner and not at all at the opposite side: a sample stands for as much of the picture as its
+area times the corner's own weight there in the interpolation. In a face of three or four corners the ear is the
+triangle of the corner and its two neighbors; a face of more is drawn as triangles, and all that meet at the corner are
+its ears. Which triangles they are differs from program to program, and so does the picture.
 
-An ear of a face with more than three corners may hang over where the face is not: ask the surface itself.
+An ear of four corners may hang over where the face is not: ask the surface itself.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import ReceiverMesh
+from ..triangulation import triangulate
 from .receivers import next_corners, previous_corners
 
 #: Divisions of each side of an ear. A sample is the middle of one of the triangles this makes.
@@ -26,9 +29,47 @@ def lattice() -> tuple[np.ndarray, np.ndarray]:
     return samples, 1 - samples.sum(axis=1)
 
 
-def around_corners(mesh: ReceiverMesh, corners: np.ndarray) -> np.ndarray:
-    """(n, 3) corners (n,), each with the one that follows and the one before it around its face."""
-    return np.stack([corners, next_corners(mesh)[corners], previous_corners(mesh)[corners]], axis=1)
+def around_corners(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, least: float = 0.0) -> np.ndarray:
+    """(n, 3) ears of corners (m,): each with two others of its face, in their order around it.
+
+    Parameters
+    ----------
+    places : (c, 3) float
+        Of all corners of the mesh.
+    least : float
+        Longest side from which on a face of more than four corners has the ears of its triangles; those of smaller
+        ones are as of four.
+    """
+    faces = np.searchsorted(mesh.face_offsets, corners, side="right") - 1
+    many = np.diff(mesh.face_offsets)[faces] > 4
+    around = np.stack([corners, next_corners(mesh)[corners], previous_corners(mesh)[corners]], axis=1)
+    if many.any() and least > 0:
+        with np.errstate(invalid="ignore"):  # broken vertices are not finite, and no side to them is longer
+            sides = np.linalg.norm(places[around[many, 1]] - places[around[many, 0]], axis=1)
+            many[np.flatnonzero(many)] = np.isin(faces[many], faces[many][sides > least])
+    if not many.any():
+        return around
+    drawn = _drawn_triangles(mesh, np.unique(faces[many]), places)
+    turned = np.concatenate([drawn, np.roll(drawn, -1, axis=1), np.roll(drawn, -2, axis=1)])
+    return np.concatenate([around[~many], turned[np.isin(turned[:, 0], corners[many])]])
+
+
+def _drawn_triangles(mesh: ReceiverMesh, faces: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(t, 3) corners of the triangles as which faces (n,) are drawn; none of faces that cross themselves."""
+    counts = np.diff(mesh.face_offsets)[faces]
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    members = np.repeat(mesh.face_offsets[faces] - offsets[:-1], counts) + np.arange(offsets[-1])
+    loops = np.asarray(places[members], dtype=np.float64)
+    # From a corner of its own: far from the origin the products would round to nothing.
+    arms = loops - np.repeat(loops[offsets[:-1]], counts, axis=0)
+    after = np.arange(1, len(members) + 1)
+    after[offsets[1:] - 1] = offsets[:-1]
+    with np.errstate(invalid="ignore"):  # broken vertices are not finite
+        normals = np.add.reduceat(np.cross(arms, arms[after]), offsets[:-1], axis=0)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        sound = np.isfinite(lengths) & (lengths > 0)
+        normals = np.where(sound, normals / np.where(sound, lengths, 1), 0)
+    return members[triangulate(loops, offsets, normals)[0]]
 
 
 def ears(places: np.ndarray, normals: np.ndarray, flipped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -108,7 +108,7 @@ def _samples(solution: PatchSolution, meshes: Sequence[ReceiverMesh], receivers:
     found = [(np.empty(0, np.int64), np.empty((0, 3), np.float32), np.empty(0))]
     for mesh, who in zip(meshes, receivers.corner_receivers, strict=True):
         corners = np.flatnonzero((who >= 0) & (row[who] >= 0))
-        around = who[around_corners(mesh, corners)]
+        around = who[around_corners(mesh, corners, receivers.points[who])]
         around = around[(around >= 0).all(axis=1)]
         places = receivers.points[around].astype(np.float64)
         sides, areas, sound = ears(places, receivers.normals[around[:, 0]], mesh.flipped)

@@ -19,7 +19,7 @@ from radiosity.core.visibility.embree import Frame, RayPool
 
 @dataclass(frozen=True)
 class Thing:
-    """One object of a scene: faces of three or four corners, one look.
+    """One object of a scene: faces of one number of corners, seen whole from their first corner, and one look.
 
     `normals` (v, 3) make it smooth; without them it is flat. `receives` tells whether its light is wanted.
     """
@@ -95,9 +95,7 @@ def color(value) -> np.ndarray:
 
 
 def _fan(faces: np.ndarray) -> np.ndarray:
-    if faces.shape[1] == 3:
-        return faces
-    return np.stack([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+    return np.stack([faces[:, [0, i, i + 1]] for i in range(1, faces.shape[1] - 1)], axis=1).reshape(-1, 3)
 
 
 def bake(scene: Scene, accuracy: float = 0.1, threads: int = 1, **settings) -> BakeResult:

@@ -49,13 +49,38 @@ def around_corners(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, 
             many[np.flatnonzero(many)] = np.isin(faces[many], faces[many][sides > least])
     if not many.any():
         return around
-    drawn = _drawn_triangles(mesh, np.unique(faces[many]), places)
+    drawn, _ = _drawn_triangles(mesh, np.unique(faces[many]), places)
     turned = np.concatenate([drawn, np.roll(drawn, -1, axis=1), np.roll(drawn, -2, axis=1)])
     return np.concatenate([around[~many], turned[np.isin(turned[:, 0], corners[many])]])
 
 
-def _drawn_triangles(mesh: ReceiverMesh, faces: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(t, 3) corners of the triangles as which faces (n,) are drawn; none of faces that cross themselves."""
+def whole_faces(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, most: int) -> tuple[np.ndarray, ...]:
+    """All triangles of the faces of corners (m,), of those with more than four corners and at most so many.
+
+    Returns
+    -------
+    owners : (n,) int
+        Row of `corners` that each triangle is for.
+    triangles : (n, 3) int
+        Its corners.
+    """
+    faces = np.searchsorted(mesh.face_offsets, corners, side="right") - 1
+    counts = np.diff(mesh.face_offsets)[faces]
+    rows = np.flatnonzero((counts > 4) & (counts <= most))
+    if not len(rows):
+        return rows, np.empty((0, 3), np.int64)
+    different, which = np.unique(faces[rows], return_inverse=True)
+    drawn, of = _drawn_triangles(mesh, different, places)
+    numbers = np.bincount(of, minlength=len(different))
+    starts = np.cumsum(numbers) - numbers
+    each = numbers[which]
+    inside = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
+    return np.repeat(rows, each), drawn[np.repeat(starts[which], each) + inside]
+
+
+def _drawn_triangles(mesh: ReceiverMesh, faces: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (t, 3) of the triangles as which faces (n,) are drawn, none of those that cross themselves, and the row
+    (t,) of each one's face; in the order of faces."""
     counts = np.diff(mesh.face_offsets)[faces]
     offsets = np.concatenate([[0], np.cumsum(counts)])
     members = np.repeat(mesh.face_offsets[faces] - offsets[:-1], counts) + np.arange(offsets[-1])
@@ -69,7 +94,8 @@ def _drawn_triangles(mesh: ReceiverMesh, faces: np.ndarray, places: np.ndarray) 
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         sound = np.isfinite(lengths) & (lengths > 0)
         normals = np.where(sound, normals / np.where(sound, lengths, 1), 0)
-    return members[triangulate(loops, offsets, normals)[0]]
+    triangles, rows, _ = triangulate(loops, offsets, normals)
+    return members[triangles], rows
 
 
 def ears(places: np.ndarray, normals: np.ndarray, flipped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

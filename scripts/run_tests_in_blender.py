@@ -18,6 +18,7 @@ import shutil  # noqa: E402
 import subprocess  # noqa: E402
 import sys  # noqa: E402
 import tempfile  # noqa: E402
+from concurrent.futures import ThreadPoolExecutor  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import fetch_wheels  # noqa: E402
@@ -29,6 +30,9 @@ VARIABLE = "RADIOSITY_REAL_BLENDER"
 _KEPT_WHEELS = "/opt/wheels"
 # What the tests need beside pytest, which the tools have.
 _TEST_PACKAGES = ("hypothesis",)
+
+#: What is tested in a Blender of its own, each beside the others: about as long.
+PARTS = [("tests/core",), ("tests", "--ignore=tests/core")]
 
 DUMP = """
 import bpy, sys, numpy as np
@@ -249,18 +253,27 @@ def run_suite(blender: RealBlender, arguments: list[str]) -> None:
     ]
     if subprocess.run([*command, *_TEST_PACKAGES], check=False).returncode:
         raise TestError(f"packages for tests cannot be installed for Python {blender.python_version}")
-    options = ["-p", "no:cacheprovider", "-q", *arguments]
-    script = f"import sys, pytest; sys.exit(int(pytest.main({options!r})))"
-    command = ("-b", "--factory-startup", "--python-exit-code", "1", "--python-expr", script)
-    extra = {
-        "REAL_BLENDER_WITH": f"pytest embreex {packages}",
-        "HYPOTHESIS_STORAGE_DIRECTORY": str(blender.scratch / "hypothesis"),
-        "REAL_BLENDER_PASS": "HYPOTHESIS_STORAGE_DIRECTORY",
-    }
-    result = blender.run(*command, **extra)
-    print(result.stdout, result.stderr, sep="\n")
-    if result.returncode:
-        raise TestError(f"tests failed inside Blender: exit status {result.returncode}")
+
+    def run(part: tuple[str, ...]) -> subprocess.CompletedProcess:
+        name = f"{PARTS.index(part) if part in PARTS else 0}"
+        options = ["-p", "no:cacheprovider", "-q", *part]
+        script = f"import sys, pytest; sys.exit(int(pytest.main({options!r})))"
+        command = ("-b", "--factory-startup", "--python-exit-code", "1", "--python-expr", script)
+        return blender.run(
+            *command,
+            REAL_BLENDER_HOME=str(blender.scratch / f"home of tests {name}"),
+            REAL_BLENDER_WITH=f"pytest embreex {packages}",
+            HYPOTHESIS_STORAGE_DIRECTORY=str(blender.scratch / f"hypothesis {name}"),
+            REAL_BLENDER_PASS="HYPOTHESIS_STORAGE_DIRECTORY",
+        )
+
+    parts = [tuple(arguments)] if arguments else PARTS
+    with ThreadPoolExecutor(len(parts)) as pool:
+        results = list(pool.map(run, parts))
+    for result in results:
+        print(result.stdout, result.stderr, sep="\n")
+    if any(result.returncode for result in results):
+        raise TestError(f"tests failed inside Blender: exit status {[result.returncode for result in results]}")
 
 
 def run_window_tests(blender: RealBlender, package: Path, pictures: Path) -> None:

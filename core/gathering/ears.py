@@ -10,11 +10,16 @@ An ear of four corners may hang over where the face is not: ask the surface itse
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..scene import ReceiverMesh
 from ..triangulation import triangulate
 from .receivers import next_corners, previous_corners
+
+#: Where corners (n,) are, as (n, 3): those of a whole mesh at once would take as much memory as all its receivers.
+Places = Callable[[np.ndarray], np.ndarray]
 
 #: Divisions of each side of an ear. A sample is the middle of one of the triangles this makes.
 DIVISIONS = 4
@@ -29,13 +34,13 @@ def lattice() -> tuple[np.ndarray, np.ndarray]:
     return samples, 1 - samples.sum(axis=1)
 
 
-def around_corners(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, least: float = 0.0) -> np.ndarray:
+def around_corners(mesh: ReceiverMesh, corners: np.ndarray, places: Places, least: float = 0.0) -> np.ndarray:
     """(n, 3) ears of corners (m,): each with two others of its face, in their order around it.
 
     Parameters
     ----------
-    places : (c, 3) float
-        Of all corners of the mesh.
+    places : callable
+        Places (n, 3) of corners (n,).
     least : float
         Longest side from which on a face of more than four corners has the ears of its triangles; those of smaller
         ones are as of four.
@@ -45,7 +50,7 @@ def around_corners(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, 
     around = np.stack([corners, next_corners(mesh)[corners], previous_corners(mesh)[corners]], axis=1)
     if many.any() and least > 0:
         with np.errstate(invalid="ignore"):  # broken vertices are not finite, and no side to them is longer
-            sides = np.linalg.norm(places[around[many, 1]] - places[around[many, 0]], axis=1)
+            sides = np.linalg.norm(places(around[many, 1]) - places(around[many, 0]), axis=1)
             many[np.flatnonzero(many)] = np.isin(faces[many], faces[many][sides > least])
     if not many.any():
         return around
@@ -54,7 +59,7 @@ def around_corners(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, 
     return np.concatenate([around[~many], turned[np.isin(turned[:, 0], corners[many])]])
 
 
-def whole_faces(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, most: int) -> tuple[np.ndarray, ...]:
+def whole_faces(mesh: ReceiverMesh, corners: np.ndarray, places: Places, most: int) -> tuple[np.ndarray, ...]:
     """All triangles of the faces of corners (m,), of those with more than four corners and at most so many.
 
     Returns
@@ -78,13 +83,13 @@ def whole_faces(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray, mos
     return np.repeat(rows, each), drawn[np.repeat(starts[which], each) + inside]
 
 
-def _drawn_triangles(mesh: ReceiverMesh, faces: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _drawn_triangles(mesh: ReceiverMesh, faces: np.ndarray, places: Places) -> tuple[np.ndarray, np.ndarray]:
     """Corners (t, 3) of the triangles as which faces (n,) are drawn, none of those that cross themselves, and the row
     (t,) of each one's face; in the order of faces."""
     counts = np.diff(mesh.face_offsets)[faces]
     offsets = np.concatenate([[0], np.cumsum(counts)])
     members = np.repeat(mesh.face_offsets[faces] - offsets[:-1], counts) + np.arange(offsets[-1])
-    loops = np.asarray(places[members], dtype=np.float64)
+    loops = np.asarray(places(members), dtype=np.float64)
     # From a corner of its own: far from the origin the products would round to nothing.
     arms = loops - np.repeat(loops[offsets[:-1]], counts, axis=0)
     after = np.arange(1, len(members) + 1)

@@ -25,7 +25,7 @@ from ..progress import shared_progress
 from ..scene import ReceiverMesh
 from ..solvers.patch_solution import PatchSolution
 from ..visibility.embree import OFFSET
-from .ears import around_corners, ears, lattice, whole_faces
+from .ears import Places, around_corners, ears, lattice, whole_faces
 from .looks import look
 from .receivers import Receivers
 from .snapping import own_surface
@@ -122,13 +122,13 @@ def _darker(meshes, receivers: Receivers, brightness: np.ndarray, settled: np.nd
     return np.flatnonzero(receivers.borders & ~settled & (brightness < DARK * brightest))
 
 
-def _own_ears(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _own_ears(mesh: ReceiverMesh, corners: np.ndarray, places: Places) -> tuple[np.ndarray, np.ndarray]:
     """Corner (n,) that each ear is of, and its corners (n, 3)."""
     around = around_corners(mesh, corners, places)
     return around[:, 0], around
 
 
-def _whole_faces(mesh: ReceiverMesh, corners: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _whole_faces(mesh: ReceiverMesh, corners: np.ndarray, places: Places) -> tuple[np.ndarray, np.ndarray]:
     """Corner (n,) that each triangle of its face is for, and the triangle's corners (n, 3)."""
     owners, triangles = whole_faces(mesh, corners, places, MANY)
     return corners[owners], triangles
@@ -143,7 +143,7 @@ def _samples(solution: PatchSolution, meshes, receivers: Receivers, asked: np.nd
     found = [(np.empty(0, np.int64), np.empty((0, 3), np.float32), np.empty(0))]
     for mesh, who in zip(meshes, receivers.corner_receivers, strict=True):
         corners = np.flatnonzero((who >= 0) & (row[who] >= 0))
-        owners, around = triangles(mesh, corners, receivers.points[who])
+        owners, around = triangles(mesh, corners, lambda corners, who=who: receivers.points[who[corners]])
         around, owners = who[around], who[owners]
         usable = (around >= 0).all(axis=1)
         around, owners = around[usable], owners[usable]

@@ -182,11 +182,14 @@ def find_walled_off(
 def _ears(mesh: ReceiverMesh, who: np.ndarray, receivers: Receivers, spacing: float):
     """Blocks of the ears looked at, but those that reach inward: receivers (n,), places (n, 3), the two sides (n, 2, 3)
     and the areas (n,) between them."""
-    everywhere = mesh.positions[mesh.corner_vertices]
+
+    def at(corners: np.ndarray) -> np.ndarray:
+        return mesh.positions[mesh.corner_vertices[corners]]
+
     for start in range(0, len(who), BLOCK):
         corners = start + np.flatnonzero(who[start : start + BLOCK] >= 0)
-        around = around_corners(mesh, corners, everywhere, spacing)
-        places, corners = everywhere[around].astype(np.float64), around[:, 0]
+        around = around_corners(mesh, corners, at, spacing)
+        places, corners = at(around).astype(np.float64), around[:, 0]
         sides, areas, wanted = ears(places, receivers.normals[who[corners]], mesh.flipped)
         with np.errstate(invalid="ignore"):  # broken vertices are not finite, and no side to them is longer
             large = (np.einsum("nij,nij->ni", sides, sides) > spacing**2).any(axis=1)

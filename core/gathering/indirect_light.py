@@ -39,6 +39,9 @@ BRIGHT = 4.0
 #: shelf's back edge is one cluster wide, and its two sides are lit differently.
 FEW = 4
 
+#: Rays whose hits are kept at a time: 8 MB for their rows, and as much again while these are looked up.
+BLOCK_RAYS = 2_000_000
+
 #: With no more receivers than this, nodes save nothing: gather everywhere.
 DENSE_RECEIVERS = 1200
 
@@ -116,7 +119,7 @@ class _Gatherer:
         receivers near each, which know what is bright there."""
         new = ~self.traced[who]
         who, around = who[new], around[new]
-        block = max(1, 4_000_000 // self.rays)
+        block = max(1, BLOCK_RAYS // self.rays)
         solution = self.solution
         for start in range(0, len(who), block):
             part = who[start : start + block]

@@ -7,14 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..scene import ReceiverMesh
-from ..visibility.embree import Frame, RayPool, Tracer
+from ..visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
 from .receivers import Receivers, build_receivers
 from .snapping import snap_to_surface
 
 
 def place_receivers(meshes: Sequence[ReceiverMesh], tracer: Tracer, pool: RayPool) -> Receivers:
     """Receivers of meshes in the unit frame; those of meshes that lie off the surface are moved onto it."""
-    receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0))
+
+    def parts(places: np.ndarray, others: np.ndarray) -> np.ndarray:
+        seen = np.ones(len(places), bool)
+
+        def work(start: int, stop: int) -> None:
+            begin = places[start:stop].astype(np.float32)
+            seen[start:stop] = tracer.visibility(begin, others[start:stop].astype(np.float32) - begin, 1.0) > 0
+
+        pool.run(work, len(places), CHUNK_RAYS)
+        return ~seen
+
+    receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0), parts)
     if not any(mesh.is_off_surface for mesh in meshes):
         return receivers
     chosen = np.zeros(len(receivers), bool)

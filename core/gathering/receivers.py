@@ -2,12 +2,13 @@
 
 A vertex on a sharp edge belongs to several smooth groups and gets a receiver in each, so both sides of the edge have
 their own light. Corners at the same place with the same normal share one receiver, also across split vertices and
-touching objects, so seams of the mesh do not show in the light.
+touching objects, so seams of the mesh do not show in the light; unless a wall stands there, whose two sides are two
+rooms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,10 @@ BLOCK = 65536
 
 #: Half the diagonal of a square, in its sides: what the mean length of edges is taken times for the size of a face.
 HALF_DIAGONAL = 0.5**0.5
+
+
+#: Whether something stands (n,) between places (n, 3) and others (n, 3).
+Parts = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ def previous_corners(mesh: ReceiverMesh) -> np.ndarray:
     return previous
 
 
-def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
+def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame, parts: Parts | None = None) -> Receivers:
     """Receivers of all corners of all meshes.
 
     Parameters
@@ -125,6 +130,9 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     meshes : sequence of ReceiverMesh
     frame : Frame
         The unit frame of the scene.
+    parts : callable, optional
+        Whether something stands (n,) between places (n, 3) and others (n, 3). Without it, floors of two rooms that meet
+        under a wall without thickness have the receivers there in common.
 
     Returns
     -------
@@ -149,8 +157,12 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     if not base:
         empty = np.empty((0, 3), np.float32)
         return Receivers(empty, empty, empty[:, 0], np.empty((0, 2), np.int32), groups, np.empty(0, bool), empty)
-    points, normals, sizes = (np.concatenate(parts) for parts in (points, normals, sizes))
+    points, normals, sizes = (np.concatenate(each) for each in (points, normals, sizes))
     where, leaders = _weld(points, normals)
+    if parts is not None and len(leaders) < (where >= 0).sum():
+        where, leaders = _part_rooms(
+            where, points, normals, _inward_steps(meshes, groups, frame, where, normals), parts
+        )
     points, normals = points[leaders], normals[leaders]
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     ends = [np.concatenate(side) for side in zip(*pairs, strict=True)]
@@ -166,12 +178,51 @@ def build_receivers(meshes: Sequence[ReceiverMesh], frame: Frame) -> Receivers:
     # Two faces run along their common edge in opposite directions, also where a face is doubled.
     borders[edges[~both]] = True
     inward = _inward(meshes, groups, frame, borders, normals)
+    points = points + _steps(inward)
+    return Receivers(points, normals, HALF_DIAGONAL * sizes[leaders], edges, groups, borders, inward)
+
+
+def _steps(inward: np.ndarray) -> np.ndarray:
+    """(r, 3) float32 by how much receivers on borders are moved along their ways inward (r, 3)."""
     reach = np.linalg.norm(inward, axis=1)
     # At least four ray offsets, or the ray would start closer to the wall than it starts above the floor, but never
     # past half-way to the middle of a tiny face.
     step = np.minimum(np.maximum(INSET * reach, 4 * OFFSET), 0.5 * reach)
-    points = points + (step / np.maximum(reach, 1e-20))[:, None].astype(np.float32) * inward
-    return Receivers(points, normals, HALF_DIAGONAL * sizes[leaders], edges, groups, borders, inward)
+    return (step / np.maximum(reach, 1e-20))[:, None].astype(np.float32) * inward
+
+
+def _inward_steps(meshes, groups, frame: Frame, where: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(g, 3) float32 by how much each group would be moved that shares a receiver now and had one of its own; 0 for all
+    others."""
+    shared = np.zeros(len(where), bool)
+    shared[where >= 0] = np.bincount(where[where >= 0])[where[where >= 0]] > 1
+    return _steps(_inward(meshes, groups, frame, shared, normals))
+
+
+def _part_rooms(
+    where: np.ndarray, points: np.ndarray, normals: np.ndarray, steps: np.ndarray, parts: Parts
+) -> tuple[np.ndarray, np.ndarray]:
+    """Receiver of each group as `_weld` gives it, and the first group of each, but with one for each room that meets
+    there: groups stay together while nothing stands between their faces, a `steps` (g, 3) from where they meet."""
+    lengths = np.linalg.norm(steps, axis=1)
+    first, left = np.full(len(where), -1), np.flatnonzero(where >= 0)
+    while len(left):
+        # Of the groups of one place that have no receiver yet, the first is given one, and all that it sees.
+        _, leading, which = np.unique(where[left], return_index=True, return_inverse=True)
+        leaders = left[leading][which.reshape(-1)]
+        others = np.flatnonzero(left != leaders)
+        one, other = left[others], leaders[others]
+        # High enough to look over a smooth ridge, whose faces fall away by half a right angle.
+        lift = (np.maximum(lengths[one], lengths[other]) + np.float32(4 * OFFSET))[:, None] * normals[other]
+        apart = np.zeros(len(left), bool)
+        apart[others] = parts(points[one] + steps[one] + lift, points[other] + steps[other] + lift)
+        first[left[~apart]] = leaders[~apart]
+        left = left[apart]
+    known = first >= 0
+    leaders, numbers = np.unique(first[known], return_inverse=True)
+    where = np.full(len(where), -1, np.int32)
+    where[known] = numbers.reshape(-1)
+    return where, leaders
 
 
 def _mean_sides(mesh: ReceiverMesh, places: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -284,7 +284,6 @@ def test_published_points_of_wards_room(accuracy, level):
     np.testing.assert_allclose(values, [point["B"] for point in points], rtol=case["tolerance"][level]["rel"])
 
 
-@pytest.mark.xfail(strict=True, reason="floors that meet at a wall without thickness share the receivers on it")
 def test_sealed_cubes_share_no_light():
     polygons, owners = polygons_of(FACTORS["enc-two-sealed-cubes"])
     names = [surface["name"] for surface in FACTORS["enc-two-sealed-cubes"]["surfaces"]]

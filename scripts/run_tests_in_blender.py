@@ -32,7 +32,10 @@ _KEPT_WHEELS = "/opt/wheels"
 _TEST_PACKAGES = ("hypothesis",)
 
 #: What is tested in a Blender of its own, each beside the others: about as long.
-PARTS = [("tests/core",), ("tests", "--ignore=tests/core")]
+PARTS = [
+    ("tests/core/form_factors", "tests/core/solvers"),
+    ("tests", "--ignore=tests/core/form_factors", "--ignore=tests/core/solvers"),
+]
 
 DUMP = """
 import bpy, sys, numpy as np
@@ -255,7 +258,7 @@ def run_suite(blender: RealBlender, arguments: list[str]) -> None:
         raise TestError(f"packages for tests cannot be installed for Python {blender.python_version}")
 
     def run(part: tuple[str, ...]) -> subprocess.CompletedProcess:
-        name = f"{PARTS.index(part) if part in PARTS else 0}"
+        name = PARTS.index(part) if part in PARTS else 0
         options = ["-p", "no:cacheprovider", "-q", *part]
         script = f"import sys, pytest; sys.exit(int(pytest.main({options!r})))"
         command = ("-b", "--factory-startup", "--python-exit-code", "1", "--python-expr", script)

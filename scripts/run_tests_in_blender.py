@@ -257,8 +257,7 @@ def run_suite(blender: RealBlender, arguments: list[str]) -> None:
     if subprocess.run([*command, *_TEST_PACKAGES], check=False).returncode:
         raise TestError(f"packages for tests cannot be installed for Python {blender.python_version}")
 
-    def run(part: tuple[str, ...]) -> subprocess.CompletedProcess:
-        name = PARTS.index(part) if part in PARTS else 0
+    def run(name: int, part: tuple[str, ...]) -> subprocess.CompletedProcess:
         options = ["-p", "no:cacheprovider", "-q", *part]
         script = f"import sys, pytest; sys.exit(int(pytest.main({options!r})))"
         command = ("-b", "--factory-startup", "--python-exit-code", "1", "--python-expr", script)
@@ -272,7 +271,7 @@ def run_suite(blender: RealBlender, arguments: list[str]) -> None:
 
     parts = [tuple(arguments)] if arguments else PARTS
     with ThreadPoolExecutor(len(parts)) as pool:
-        results = list(pool.map(run, parts))
+        results = list(pool.map(run, range(len(parts)), parts))
     for result in results:
         print(result.stdout, result.stderr, sep="\n")
     if any(result.returncode for result in results):

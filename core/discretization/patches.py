@@ -304,6 +304,16 @@ def _cluster_points(representatives: np.ndarray) -> np.ndarray:
     return middle
 
 
+def lone_cells(patches: Patches, start: int = 0) -> np.ndarray:
+    """Patches (n,), those below number `start` passed over, that are one cell of one triangle."""
+    owner = patches.point_triangles[:, 0]
+    lone = (patches.point_triangles == owner[:, None]).all(axis=1)
+    members = np.bincount(patches.first, minlength=patches.count)
+    lone &= (patches.divisions[owner] > 1) | (members <= 1)
+    lone[:start] = False
+    return np.nonzero(lone & (patches.areas > 0))[0]
+
+
 def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray, start: int = 0):
     """Segments just above each cell, along its sides and its middle, that nothing crosses unless it stands there.
 
@@ -312,15 +322,11 @@ def probe_segments(patches: Patches, vertices: np.ndarray, triangles: np.ndarray
     Returns
     -------
     cells : (n,) int
-        Patches that are one cell of one triangle.
+        Those that are `lone_cells`.
     starts, segments : (n, 6, 3) float64
     """
     owner = patches.point_triangles[:, 0]
-    lone = (patches.point_triangles == owner[:, None]).all(axis=1)
-    members = np.bincount(patches.first, minlength=patches.count)
-    lone &= (patches.divisions[owner] > 1) | (members <= 1)
-    lone[:start] = False
-    cells = np.nonzero(lone & (patches.areas > 0))[0]
+    cells = lone_cells(patches, start)
     # Sides are drawn in a little: what ends exactly on them belongs to the neighbor as well.
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     corners = corners + 0.02 * (1 / 3 - corners)

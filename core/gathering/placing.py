@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..scene import ReceiverMesh
-from ..visibility.embree import CHUNK_RAYS, Frame, RayPool, Tracer
+from ..visibility.embree import Frame, RayPool, Tracer, free_ways
 from .receivers import Receivers, build_receivers
 from .snapping import snap_to_surface
 
@@ -16,14 +16,7 @@ def place_receivers(meshes: Sequence[ReceiverMesh], tracer: Tracer, pool: RayPoo
     """Receivers of meshes in the unit frame; those of meshes that lie off the surface are moved onto it."""
 
     def parts(places: np.ndarray, others: np.ndarray) -> np.ndarray:
-        seen = np.ones(len(places), bool)
-
-        def work(start: int, stop: int) -> None:
-            begin = places[start:stop].astype(np.float32)
-            seen[start:stop] = tracer.visibility(begin, others[start:stop].astype(np.float32) - begin, 1.0) > 0
-
-        pool.run(work, len(places), CHUNK_RAYS)
-        return ~seen
+        return ~free_ways(tracer, places, others - places, pool)
 
     receivers = build_receivers(meshes, Frame(np.zeros(3), 1.0), parts)
     if not any(mesh.is_off_surface for mesh in meshes):

@@ -238,6 +238,18 @@ class RayPool:
             pass
 
 
+def free_ways(tracer: Tracer, starts: np.ndarray, segments: np.ndarray, pool: RayPool) -> np.ndarray:
+    """(n,) bool: whether light passes along each whole segment (n, 3) from its start (n, 3)."""
+    free = np.empty(len(starts), bool)
+
+    def work(start: int, stop: int) -> None:
+        part = (array[start:stop].astype(np.float32) for array in (starts, segments))
+        free[start:stop] = tracer.visibility(*part, 1.0) > 0
+
+    pool.run(work, len(starts), CHUNK_RAYS)
+    return free
+
+
 class RayEngine:
     """Rays in world coordinates, for callers that do not build the rays themselves.
 

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radiosity.core.gathering.placing import place_receivers
 from radiosity.core.gathering.receivers import INSET, build_receivers
-from radiosity.core.visibility.embree import OFFSET, Frame
+from radiosity.core.visibility.embree import OFFSET, Frame, RayPool, Tracer
 
-from tests.bakes import Thing, receiver_of
-from tests.scenes import box, cornell_box, grid, inward_sphere
+from tests.bakes import Thing, receiver_of, scene_of
+from tests.scenes import box, cornell_box, grid, inward_sphere, joined
 
 UNIT = Frame(np.zeros(3), 1.0)
 SQUARE = [(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)]
@@ -76,6 +77,39 @@ def test_touching_objects_share_receivers_at_their_seam():
     assert len(receivers) == 2 * 25 - 5
     seam = np.abs(receivers.points[:, 0]) < 1e-6
     assert not receivers.borders[seam & (np.abs(receivers.points[:, 1] - 0.5) < 0.4)].any(), "a seam is no border"
+
+
+def test_rooms_that_meet_at_a_point_have_a_receiver_each():
+    corners = [(0, 0), (-1, 0), (-1, -1), (0, -1)]
+    floors = [receiver_of(Thing(*grid(SQUARE + np.array([x + 0.5, y + 0.5, 0]), 2, 2))) for x, y in corners]
+
+    def parts(places, others):
+        """Walls along both axes."""
+        return (np.sign(places[:, :2]) != np.sign(others[:, :2])).any(axis=1)
+
+    together, parted = build_receivers(floors, UNIT), build_receivers(floors, UNIT, parts)
+    assert len(together) == 25
+    assert len(parted) == 36
+    for number, (x, y) in enumerate(corners):
+        mine = parted.points[parted.corner_receivers[number]]
+        assert ((mine[:, 0] > 0) == (x == 0)).all() and ((mine[:, 1] > 0) == (y == 0)).all()
+    # Walls along one axis only: the rooms on either side keep what they share.
+    halves = build_receivers(floors, UNIT, lambda a, b: np.sign(a[:, 0]) != np.sign(b[:, 0]))
+    assert len(halves) == 2 * 15
+
+
+def test_a_smooth_ridge_of_split_faces_is_no_wall():
+    """Faces fall away from a vertex they share: the way over it is free."""
+    slope = np.tan(np.radians(40))
+    left = np.array([(-1, 0, -slope), (0, 0, 0), (0, 1, 0), (-1, 1, -slope)])
+    roof = [left, (left * (-1, 1, 1))[::-1]]
+    vertices, faces, _ = joined(*(grid(side, 1, 1) for side in roof))
+    normals = np.tile((0.0, 0.0, 1.0), (len(vertices), 1))
+    thing = Thing(vertices, faces, normals=normals)
+    scene = scene_of(thing)
+    with RayPool(1) as pool:
+        tracer = Tracer.build(scene.surfaces.vertices.astype(np.float32), scene.surfaces.triangles)
+        assert len(place_receivers([receiver_of(thing)], tracer, pool)) == 6
 
 
 def test_opposite_faces_at_one_place_do_not_share():

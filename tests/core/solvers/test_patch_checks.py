@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from radiosity.core import dividing
 from radiosity.core.lights import PointLight
 from radiosity.core.progress import finish
 from radiosity.core.solvers.patch_checks import LUMINANCE, check_patches
@@ -74,7 +75,9 @@ def astray(solution) -> float:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_patches_partly_inside_solids_keep_the_balance(seed):
+def test_patches_partly_inside_solids_keep_the_balance(seed, monkeypatch):
+    # Where the lamp lights one part of them only they would be split, and few would be left to test with.
+    monkeypatch.setattr(dividing, "LIGHT_ROUNDS", 0)
     vertices, faces, _ = box(divisions=4)
     block, sides, _ = box((0.15, 0.15, 0.3), 1)
     things = [Thing(vertices, faces, WHITE)]
@@ -89,8 +92,7 @@ def test_patches_partly_inside_solids_keep_the_balance(seed):
     solution, _ = solved_patches(scene, 0.3, seed=seed)
     count = solution.patches.count
     share = solution.open_areas[:count] / np.where(solution.patches.areas > 0, solution.patches.areas, 1)
-    # Most of them have been split where the lamp lights one part only; what is tested needs some that are left.
-    assert ((share > 0) & (share < 1)).sum() > 10
+    assert ((share > 0) & (share < 1)).sum() > 20
     assert solution.enclosed[count:].any()
     # To the end of float32, for what is left of the bounces counts as well.
     finish(solution._iterate(1e-6))

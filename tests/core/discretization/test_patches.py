@@ -14,6 +14,7 @@ from radiosity.core.discretization.patches import (
     POINTS,
     SPLIT,
     build_patches,
+    lone_cells,
     probe_segments,
     split_cells,
 )
@@ -77,6 +78,18 @@ def test_sample_points_lie_in_their_own_patch(scene, target, split):
     np.testing.assert_allclose(places, patches.points, atol=1e-6)
     np.testing.assert_allclose(weights.sum(axis=2), 1, atol=1e-6)
     assert weights.min() > 0
+
+
+def test_a_cluster_is_no_lone_cell_however_much_of_it_is_one_triangle():
+    # Apart from each other, broad triangles with a sliver at the side of each: a cluster's points, spread by area, all
+    # lie in its broad one.
+    pair = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.51, 0.51, 0)])
+    vertices = np.concatenate([pair + np.array([3 * x, 3 * y, 0]) for x in range(6) for y in range(6)]) / 16
+    triangles = np.concatenate([np.array([(0, 1, 2), (2, 1, 3)]) + 4 * row for row in range(36)])
+    patches = build_patches(vertices, triangles, np.zeros(len(triangles), int), 12)
+    clusters = np.bincount(patches.first, minlength=patches.count) > 1
+    assert (clusters & (patches.point_triangles == patches.point_triangles[:, :1]).all(axis=1)).any()
+    assert not clusters[lone_cells(patches)].any()
 
 
 @every_scene

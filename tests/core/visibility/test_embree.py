@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from radiosity.core.errors import MissingRayEngineError
 from radiosity.core.visibility import embree
-from radiosity.core.visibility.embree import OFFSET, Frame, RayEngine, RayPool, Tracer
+from radiosity.core.visibility.embree import OFFSET, Frame, RayEngine, RayPool, Tracer, free_ways
 
 from tests.scenes import box, cornell_box
 
@@ -82,6 +82,19 @@ def test_visibility_agrees_with_brute_force_and_products_of_transmittance():
     blocked = opaque.visibility(origins.astype(np.float32), (targets - origins).astype(np.float32), 1.0)
     distance, _ = brute_force(vertices, triangles, origins, targets - origins)
     assert ((blocked > 0) == (distance > 1)).mean() > 0.999
+
+
+def test_ways_are_free_where_nothing_stands_on_them(monkeypatch):
+    monkeypatch.setattr(embree, "CHUNK_RAYS", 300)
+    generator = np.random.default_rng(3)
+    vertices, triangles = random_triangles(generator, 40)
+    starts, ends = generator.uniform(-0.5, 0.5, (2, 2000, 3))
+    distance, _ = brute_force(vertices, triangles, starts, ends - starts)
+    with RayPool(2) as pool:
+        free = free_ways(Tracer.build(vertices.astype(np.float32), triangles), starts, ends - starts, pool)
+    assert 0.02 < free.mean() < 0.98
+    # Rays that pass an edge by less than the rounding of float32 may fall on its other side.
+    assert (free == (distance > 1)).mean() > 0.999
 
 
 def test_a_segment_that_ends_on_a_surface_is_not_blocked_by_it():

@@ -28,6 +28,8 @@ from ..errors import SettingsError
 from ..visibility.embree import OFFSET, RayEngine
 from .point_rows import PointRows, shifts_of_names
 from .sampling import PatchSampler, frames, hemisphere_directions, kronecker_points
+from .scatter import steadied_by_class
+from .sobol import sobol_points
 
 #: Independent repetitions of each row: enough for an error estimate that is itself good to a quarter.
 REPETITIONS = 8
@@ -74,6 +76,10 @@ class SampledRows:
         Rays cast in all, abandoned rounds included.
     leaks : (n,) float64
         Share of each row that rays may lose through seams of a closed scene, because they start off the surface.
+    deviations : (n, n) float64, optional
+        Standard error of each factor, by methods that fill whole rows.
+    variances : (n, n) float64, optional
+        Of exchange areas, joined from both ends of each pair, where these are known: see `uncertain_pairs`.
     """
 
     matrix: np.ndarray
@@ -82,6 +88,8 @@ class SampledRows:
     samples: np.ndarray
     rays: int
     leaks: np.ndarray
+    deviations: np.ndarray | None = None
+    variances: np.ndarray | None = None
 
 
 def hemisphere_rows(
@@ -127,10 +135,10 @@ def hemisphere_rows(
     count = len(environment)
     rows = np.arange(count) if wanted is None else np.flatnonzero(wanted)
     *found, cast = caster.refined(rows, accuracy, seed)
-    matrix, escaped, errors, samples = (_spread(values, rows, count) for values in found)
+    matrix, escaped, errors, samples, deviations = (_spread(values, rows, count) for values in found)
     if count and errors.max() > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: ray limit", errors.max(), accuracy)
-    return SampledRows(matrix, escaped, errors, samples, cast, seam_leaks(environment, caster.offset))
+    return SampledRows(matrix, escaped, errors, samples, cast, seam_leaks(environment, caster.offset), deviations)
 
 
 def _spread(values, rows, count):
@@ -208,34 +216,36 @@ class RowCaster:
         return other
 
     def refined(self, rows: np.ndarray, accuracy: float, seed: int):
-        """Factors (r, n), escaped shares, errors and samples (r,) of some receivers, and rays cast.
+        """Factors (r, n), escaped shares, errors and samples (r,) of some receivers, deviations (r, n), and rays cast.
 
         A row does not depend on which others are asked for.
         """
         matrix, escaped, errors = np.zeros((len(rows), self.count)), np.zeros(len(rows)), np.zeros(len(rows))
+        deviations = np.zeros_like(matrix)
         samples, rays = np.zeros(len(rows), dtype=np.int64), np.full(len(rows), self._first_rays(accuracy))
         pending, rounds, cast = np.flatnonzero(self.areas[rows] > 0), 0, 0
         while len(pending):
             cast += int(rays[pending].sum()) * REPETITIONS
             for size in np.unique(rays[pending]):
                 for part in _row_blocks(pending[rays[pending] == size], int(size), self.count):
-                    shares, row_errors = self.rows(rows[part], int(size), (seed, rounds))
+                    shares, deviations[part], errors[part] = self.rows(rows[part], int(size), (seed, rounds))
                     matrix[part], escaped[part] = shares[:, :-1], shares[:, -1]
-                    errors[part], samples[part] = row_errors, size * REPETITIONS
+                    samples[part] = size * REPETITIONS
             pending = pending[(errors[pending] > accuracy) & (rays[pending] < MOST_RAYS)]
             wanted = rays[pending] * np.clip((errors[pending] / accuracy) ** (1 / FALLS[self.sampling]), 2, 64)
             rays[pending] = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 2))), MOST_RAYS).astype(np.int64)
             rounds += 1
-        return matrix, escaped, errors, samples, cast
+        return matrix, escaped, errors, samples, deviations, cast
 
     def _first_rays(self, accuracy):
         """Rays per patch and repetition of the first round, a power of two."""
         wanted = FIRST_RAYS * min(FIRST_ACCURACY / accuracy, 1) ** (1 / FALLS[self.sampling])
         return max(2 ** int(np.ceil(np.log2(wanted))), min(FEWEST_RAYS, FIRST_RAYS))
 
-    def rows(self, rows: np.ndarray, size: int, seed: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Mean shares (r, n + 1) over all repetitions, last column escaped, and the standard error of the worst."""
-        table = kronecker_points(size, 4)
+    def rows(self, rows: np.ndarray, size: int, seed: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean shares (r, n + 1) over all repetitions, last column escaped; their standard errors (r, n), and the worst
+        of each row (r,)."""
+        table = sobol_points(size, 4)
         total = np.zeros((len(rows), self.count + 1))
         squares = np.zeros_like(total)
         for repetition in range(REPETITIONS):
@@ -255,7 +265,10 @@ class RowCaster:
         mean = total / REPETITIONS
         variance = np.maximum(squares / REPETITIONS - mean * mean, 0) / (REPETITIONS - 1)
         # Rays that never met a patch do not tell a factor of one ray's share from none.
-        return mean, np.maximum(np.sqrt(variance[:, :-1].max(axis=1)), 1 / (size * REPETITIONS))
+        least = 1 / (size * REPETITIONS)
+        known = np.sqrt(steadied_by_class(variance[:, :-1], mean[:, :-1]))
+        deviations = np.where(mean[:, :-1] > 0, known, least)
+        return mean, deviations, np.maximum(np.sqrt(variance[:, :-1].max(axis=1)), least)
 
     def _count(self, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Rays (r, n + 1) that meet each patch, or none, for points (r, s, 4) of the unit cube."""

@@ -79,7 +79,7 @@ def join_estimates(matrix: np.ndarray, areas: np.ndarray, samples: np.ndarray | 
         Rays cast from each patch; equal when left out.
     """
     counts = np.ones(len(areas)) if samples is None else np.asarray(samples, dtype=np.float64)
-    precision = _precision(areas, samples)
+    precision = precision_of(areas, samples)
     total = precision[:, None] + precision
     joined = counts[:, None] * matrix
     joined = (joined + joined.T) / np.where(total > 0, total, 1)
@@ -143,7 +143,13 @@ def nearest_exchange(exchange: np.ndarray, variances: np.ndarray, areas: np.ndar
     return current
 
 
-def repair(matrix: np.ndarray, areas: np.ndarray, closed: bool, samples: np.ndarray | None = None) -> np.ndarray:
+def repair(
+    matrix: np.ndarray,
+    areas: np.ndarray,
+    closed: bool,
+    samples: np.ndarray | None = None,
+    variances: np.ndarray | None = None,
+) -> np.ndarray:
     """Form factors that obey reciprocity exactly, and closure too where the scene is closed, with the least change.
 
     Parameters
@@ -156,6 +162,9 @@ def repair(matrix: np.ndarray, areas: np.ndarray, closed: bool, samples: np.ndar
         Whether rows sum to 1; else they are only kept from exceeding it.
     samples : (n,) float, optional
         Rays cast from each patch, which weigh its changes; equal when left out.
+    variances : (n, n) float, optional
+        Of the exchange areas that both ends of a pair tell together, where they are known better than by the number of
+        rays.
 
     Returns
     -------
@@ -167,9 +176,12 @@ def repair(matrix: np.ndarray, areas: np.ndarray, closed: bool, samples: np.ndar
        Transfer 108, 1986; with variances as weights, and bounds.
     """
     exchange = join_estimates(matrix, areas, samples)
-    precision = _precision(areas, samples)
-    total = precision[:, None] + precision
-    variances = exchange / np.where(total > 0, total, 1)
+    if variances is None:
+        precision = precision_of(areas, samples)
+        total = precision[:, None] + precision
+        variances = exchange / np.where(total > 0, total, 1)
+    else:
+        variances = np.where(exchange > 0, variances, 0)
     mended = nearest_exchange(exchange, variances, areas, closed)
     if closed and (mended.sum(axis=1) > areas * (1 + CLOSED * len(areas))).any():
         # Rows that cannot all be closed must not exceed 1 for it.
@@ -177,7 +189,7 @@ def repair(matrix: np.ndarray, areas: np.ndarray, closed: bool, samples: np.ndar
     return mended / np.where(areas > 0, areas, 1)[:, None]
 
 
-def _precision(areas, samples):
+def precision_of(areas: np.ndarray, samples: np.ndarray | None) -> np.ndarray:
     """Inverse variance (n,) of what each patch's rays tell, per unit of exchange; 0 without area."""
     counts = np.ones(len(areas)) if samples is None else np.asarray(samples, dtype=np.float64)
     return np.where(areas > 0, counts / np.where(areas > 0, areas, 1), 0)

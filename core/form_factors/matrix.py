@@ -10,12 +10,13 @@ import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
+from .aimed_rays import hemisphere_factors
 from .automatic import automatic_rows
 from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
 from .disk import disk_points, disk_rows
 from .hemicube import hemicube_points, hemicube_rows
-from .hemisphere import SampledRows, hemisphere_points, hemisphere_rows
+from .hemisphere import SampledRows, hemisphere_points
 from .hybrid import hybrid_points, hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
 from .point_rows import PointRows
@@ -39,7 +40,7 @@ class Method:
     ``compute(environment, visibility, accuracy, seed, threads, **options)`` returns `SampledRows`, and
     ``at_points(environment, visibility, accuracy, seed, threads)`` what gives rows of single points (`point_rows`);
     `visibilities` are the names it accepts, the first being what ``auto`` takes; `options` are the names of its own
-    options; `refusal` says why it accepts no other visibility.
+    options; `refusal` says why it accepts no other visibility, and `accuracy` is what it takes where none is given.
     """
 
     compute: Callable[..., SampledRows]
@@ -47,10 +48,7 @@ class Method:
     visibilities: tuple[str, ...]
     options: tuple[str, ...] = ()
     refusal: str = "there is none of that name"
-
-
-def _hemisphere(environment, visibility, accuracy, seed, threads, **options):
-    return hemisphere_rows(environment, accuracy, seed, threads, **options)
+    accuracy: float = 1e-3
 
 
 def _point_to_polygon(environment, visibility, accuracy, seed, threads):
@@ -67,9 +65,13 @@ FIRST_HIT = "it counts what each of its rays meets first, which only embree tell
 ITEM_BUFFER = "what its pixels show is an item buffer, which only the z-buffer is"
 BOTH_KINDS = "it parts what is visible from what is hidden; where nothing hides, contour_integral is the same"
 
+#: Accuracy of the hemisphere where none is given. Rough work allows a fiftieth of a factor, or 1e-3 of small ones: some
+#: three of the standard errors that this asks for.
+SAMPLED = 7e-3
+
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
-    "hemisphere": Method(_hemisphere, hemisphere_points, ("embree",), ("sampling",), FIRST_HIT),
+    "hemisphere": Method(hemisphere_factors, hemisphere_points, ("embree",), ("sampling",), FIRST_HIT, SAMPLED),
     "hemicube": Method(hemicube_rows, hemicube_points, ("zbuffer",), ("resolution",), ITEM_BUFFER),
     "single_plane": Method(single_plane_rows, single_plane_points, ("zbuffer",), ("resolution", "lost"), ITEM_BUFFER),
     "point_to_polygon": Method(_point_to_polygon, visible_polygon_points, (*SEGMENTS, "none")),
@@ -151,9 +153,9 @@ def find_method(name: str, visibility: str, options: dict) -> tuple[str, Method,
     return chosen, method, method.visibilities[0] if visibility == "auto" else visibility
 
 
-def check_accuracy(accuracy: float) -> None:
-    """Raise SettingsError unless `accuracy` lies above 0 and below 1."""
-    if not 0 < accuracy < 1:
+def check_accuracy(accuracy: float | None) -> None:
+    """Raise SettingsError unless `accuracy` lies above 0 and below 1, or is left to the method."""
+    if accuracy is not None and not 0 < accuracy < 1:
         raise SettingsError(f"Accuracy of form factors must lie between 0 and 1, not {accuracy}")
 
 
@@ -161,7 +163,7 @@ def form_factors(
     environment: Environment,
     method: str = "auto",
     visibility: str = "auto",
-    accuracy: float = 1e-3,
+    accuracy: float | None = None,
     seed: int = 0,
     threads: int = 0,
     **options,
@@ -176,9 +178,11 @@ def form_factors(
     visibility : str
         ``auto``, or one of the method's own: ``embree`` for rays, ``zbuffer`` for projections, ``bsp`` or
         ``silhouettes`` for exact tests, ``brute_force``; ``none`` where nothing can occlude.
-    accuracy : float
-        Error wanted for the worst factor, as an absolute number; a standard error where rays are cast. Contour
-        integral, point to polygon and the hybrid hold each factor to less, its own `allowed_error`.
+    accuracy : float, optional
+        Error wanted of each factor, as of `allowed_error`: a share of it, and of small ones an absolute number. A
+        standard error where rays are cast. Hemicube, single plane, disk and point to point take it as an absolute
+        number, for the worst factor of each row; so does the hemisphere for many patches (`aimed_rays`). When left out,
+        1e-3, or `SAMPLED` for the hemisphere.
     seed : int
         Same input and seed give the same matrix.
     threads : int
@@ -203,6 +207,7 @@ def form_factors(
     check_accuracy(accuracy)
     chooses = method == "auto" and visibility == "auto" and not options
     name, chosen, visibility = find_method(method, visibility, options)
+    accuracy = (Method.accuracy if chooses else chosen.accuracy) if accuracy is None else accuracy
     count = len(environment)
     if count * count > LARGEST_MATRIX:
         raise SceneTooLargeError(
@@ -216,7 +221,7 @@ def form_factors(
     areas = environment.areas
     tight = rows.escaped <= CLOSED_SHARE * accuracy + rows.leaks
     closed = bool((areas > 0).any() and tight[areas > 0].all())
-    matrix = repair(rows.matrix, areas, closed, rows.samples)
+    matrix = repair(rows.matrix, areas, closed, rows.samples, rows.variances)
     escaped = np.zeros(count) if closed else rows.escaped
     return FormFactors(
         matrix=matrix,

@@ -30,7 +30,8 @@ from ..visibility.zbuffer import Loops
 from .hemisphere import SampledRows
 from .patch_points import PatchPoints, fibonacci_lattice, fold
 from .point_rows import PointRows, shifts_of_names
-from .uncertain_factors import Between, rebalanced, steadied, uncertain
+from .scatter import steadied_by_class
+from .uncertain_factors import Between, rebalanced, uncertain
 
 #: Cameras times accuracy that a computation takes at least, spread over its patches: where these are few they cost so
 #: little that each gets more points than the accuracy asks for.
@@ -237,7 +238,7 @@ class ProjectedRows:
         factors, variance = mean[:, :-1], variance[:, :-1]
         if wanted is not None:
             factors, variance = factors * wanted, variance * wanted
-        return factors, mean[:, -1], np.sqrt(steadied(variance, factors)), cameras
+        return factors, mean[:, -1], np.sqrt(steadied_by_class(variance, factors)), cameras
 
     def _add(self, camera, shares, rows, which, points, weights, turns, back, lists):
         """Add to `shares` (r, n + 1) what cameras at some points see, last column what meets no radiating side.

@@ -14,7 +14,8 @@ import numpy as np
 from ..environment import Environment
 from ..visibility.segments import Visibility
 from .faces import Faces, smaller_first
-from .sampling import PatchSampler, kronecker_points
+from .sampling import PatchSampler
+from .sobol import sobol_points
 from .spherical_triangles import points_by_solid_angle
 
 #: Distance of the centers, in sums of both radii, below which faces are near: segments by area then differ in what they
@@ -40,10 +41,10 @@ class SegmentSamples:
     def __call__(
         self, first: np.ndarray, second: np.ndarray, count: int, shifts: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of what is visible and of all, (m,) each: see `Samples`."""
+        """Weights of what is visible and of all, (m,) each: see `Samples`. Their means over `count` are factors."""
         faces = self.faces
         first, second = smaller_first(faces.areas, first, second)
-        square = (kronecker_points(count, 4) + shifts[:, None]) % 1
+        square = (sobol_points(count, 4) + shifts[:, None]) % 1
         apart = np.linalg.norm(faces.centers[first] - faces.centers[second], axis=1)
         near = apart < NEAR * (faces.radii[first] + faces.radii[second])
         sums = np.zeros((2, len(first)))
@@ -67,7 +68,7 @@ class SegmentSamples:
         squares = np.einsum("msi,msi->ms", rays, rays)
         here = np.maximum(np.einsum("msi,mi->ms", rays, faces.normals[first]), 0)
         there = np.maximum(-np.einsum("msi,mi->ms", rays, faces.normals[second]), 0)
-        return targets, here * there / (squares * squares)
+        return targets, here * there / (squares * squares) * (faces.areas[second] / np.pi)[:, None]
 
     def _by_solid_angle(self, origins, first, second, square):
         """Targets (m, s, 3) and weights (m, s)."""
@@ -81,4 +82,4 @@ class SegmentSamples:
         facing = np.einsum("msi,mi->ms", rays.reshape(shape), faces.normals[second]) < 0
         weights = np.maximum(cosines, 0) * facing / np.maximum(lengths, np.finfo(np.float64).tiny).reshape(shape[:2])
         # A triangle is chosen by its area, and weighs by its solid angle.
-        return ends.reshape(shape), weights * angles.reshape(shape[:2]) / shares
+        return ends.reshape(shape), weights * angles.reshape(shape[:2]) / (np.pi * shares)

@@ -22,9 +22,6 @@ from ..visibility.zbuffer import Loops
 #: known from few repetitions only: one that seems right by luck shall not be left as it is.
 UNCERTAIN = 0.5
 
-#: Classes of factors that count as alike, each of a fourth of the one before: the last holds all below 4e-6.
-CLASSES = 10
-
 #: Uncertain factors of a row from which on everything is drawn.
 MANY = 128
 
@@ -39,19 +36,6 @@ def uncertain(errors: np.ndarray, accuracy: float) -> np.ndarray:
     """(r, n) bool: factors to be computed anew, by the errors (r, n) of them all; whole rows above `MANY`."""
     wanted = errors > UNCERTAIN * accuracy
     return wanted | (wanted.sum(axis=1) > MANY)[:, None]
-
-
-def steadied(variances: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Variances (r, n), known from few repetitions, drawn halfway to the mean variance per factor of their like.
-
-    The largest of a thousand variances of three degrees of freedom each would else be five times the true one. Alike
-    are factors of a row that differ by less than 4: those of neighbors vary much more than those of distant patches.
-    """
-    classes = (np.log2(np.maximum(factors, 4.0**-CLASSES)) / -2).astype(np.int64).clip(0, CLASSES - 1)
-    classes += np.arange(len(factors))[:, None] * CLASSES
-    sums, spread = (np.bincount(classes.ravel(), a.ravel(), len(factors) * CLASSES) for a in (factors, variances))
-    common = spread / np.where(sums > 0, sums, 1)
-    return (variances + common[classes] * factors) / 2
 
 
 def rebalanced(

@@ -15,6 +15,7 @@ stated lower than the weight of one segment.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -82,7 +83,45 @@ def visible_shares(
     shares, errors : (m,) float64
     """
     shares, errors = np.ones(len(first)), np.zeros(len(first))
-    rounds = _first_rounds(factors, accuracy)
+
+    def judge(pairs, seen, whole, count):
+        found, scatter = pooled_shares(seen, whole)
+        shares[pairs] = found
+        errors[pairs] = factors[pairs] * np.maximum(steadied(found, scatter), 1 / (count * REPETITIONS))
+        return errors[pairs] > AIM * allowed_error(shares[pairs] * factors[pairs], accuracy)
+
+    in_rounds(samples, first, second, first_rounds(factors, accuracy), judge, seed)
+    over = errors - allowed_error(shares * factors, accuracy)
+    if over.max(initial=0) > 0:
+        worst = np.argmax(over)
+        logger.warning(
+            "A form factor of %.2g is known to %.2g only: sample limit", shares[worst] * factors[worst], errors[worst]
+        )
+    return shares, errors
+
+
+def in_rounds(
+    samples: Samples,
+    first: np.ndarray,
+    second: np.ndarray,
+    rounds: np.ndarray,
+    judge: Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray],
+    seed: int | tuple[int, ...],
+) -> None:
+    """Sample pairs with more and more segments.
+
+    Parameters
+    ----------
+    samples : Samples
+    first, second : (m,) int
+        Faces of each pair.
+    rounds : (m,) int
+        In `ROUNDS`, that in which each pair is first sampled.
+    judge : callable
+        ``judge(pairs, seen, whole, count)`` takes some of the pairs (k,) and what their repetitions of `count` segments
+        found, (r, k) each, and tells which of them (k,) bool go on to the next round.
+    seed : int or tuple of int
+    """
     pending = np.zeros(0, dtype=np.int64)
     for number, count in enumerate(ROUNDS):
         pending = np.union1d(pending, np.flatnonzero(rounds == number))
@@ -100,20 +139,10 @@ def visible_shares(
                 seen[repetition, part], whole[repetition, part] = samples(
                     first[pairs], second[pairs], count, shifts[part]
                 )
-        found, scatter = pooled_shares(seen, whole)
-        shares[pending] = found
-        errors[pending] = factors[pending] * np.maximum(steadied(found, scatter), 1 / (count * REPETITIONS))
-        pending = pending[errors[pending] > AIM * allowed_error(shares[pending] * factors[pending], accuracy)]
-    over = errors - allowed_error(shares * factors, accuracy)
-    if over.max(initial=0) > 0:
-        worst = np.argmax(over)
-        logger.warning(
-            "A form factor of %.2g is known to %.2g only: sample limit", shares[worst] * factors[worst], errors[worst]
-        )
-    return shares, errors
+        pending = pending[judge(pending, seen, whole, count)]
 
 
-def _first_rounds(factors, accuracy):
+def first_rounds(factors: np.ndarray, accuracy: float) -> np.ndarray:
     """(m,) round in which each pair is first sampled: one segment of it must not weigh more than its error."""
     wanted = factors / (AIM * allowed_error(factors, accuracy) * REPETITIONS)
     return np.minimum(np.searchsorted(ROUNDS, wanted), len(ROUNDS) - 1)

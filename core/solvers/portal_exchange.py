@@ -24,7 +24,8 @@ import numpy as np
 
 from ..discretization.local_environments import Partition
 from ..form_factors.hemisphere import RowCaster
-from ..form_factors.sampling import PatchSampler, frames, hemisphere_directions, kronecker_points
+from ..form_factors.sampling import PatchSampler, frames, hemisphere_directions
+from ..form_factors.sobol import sobol_points
 from ..visibility.embree import RayEngine
 from .cell_factors import CellFactors
 
@@ -252,7 +253,7 @@ class _Lines:
         keys, halves = np.zeros(0, np.int64), np.zeros(0)
         while True:
             for begin in range(drawn, wanted, BLOCK_LINES):
-                places = kronecker_points(min(wanted, begin + BLOCK_LINES), 4)[begin:]
+                places = sobol_points(min(wanted, begin + BLOCK_LINES), 4)[begin:]
                 found, weights = self._joined(doorway, (places + shift) % 1)
                 keys, index = np.unique(np.concatenate((keys, found)), return_inverse=True)
                 halves = np.bincount(index.reshape(-1), np.concatenate((halves, weights)), len(keys))

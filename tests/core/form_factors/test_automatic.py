@@ -83,10 +83,10 @@ def doorway():
 
 def test_a_doorway_between_two_rooms():
     exact, quick = (core.form_factors(doorway(), accuracy=accuracy) for accuracy in (1e-6, 1e-4))
-    rays = core.form_factors(doorway(), method="hemisphere", accuracy=1e-3)
+    rays = core.form_factors(doorway(), method="hemisphere", accuracy=4e-3)
     assert exact.closed and quick.closed and quick.rays == 0
     assert np.abs(quick.matrix - exact.matrix).max() <= quick.estimated_error <= 1e-4
-    # Four standard errors.
+    # Three standard errors of a factor of a half.
     assert np.abs(rays.matrix - exact.matrix).max() <= 4e-3
 
 

@@ -146,7 +146,7 @@ def test_without_visibility_a_convex_room_is_exact_in_its_row_sums():
 
 def test_identities_hold_in_the_matrix_that_is_returned():
     environment = fine_environment(3)
-    result = core.form_factors(environment, "hemisphere", accuracy=2e-3)
+    result = core.form_factors(environment, "hemisphere", accuracy=5e-3)
     assert result.closed
     exchange = environment.areas[:, None] * result.matrix
     np.testing.assert_allclose(exchange, exchange.T, atol=1e-15)
@@ -154,7 +154,7 @@ def test_identities_hold_in_the_matrix_that_is_returned():
     assert result.matrix.min() >= 0 and not result.matrix.diagonal().any()
     assert result.reciprocity_error < 1e-14 and result.closure_error < 1e-12
     assert 0 < result.raw_reciprocity_error < 0.05
-    assert result.estimated_error <= 2e-3
+    assert result.estimated_error <= 5e-3
 
 
 def test_error_estimate_is_true_and_falls_with_the_accuracy_asked_for():
@@ -163,14 +163,14 @@ def test_error_estimate_is_true_and_falls_with_the_accuracy_asked_for():
     polygons, _ = polygons_of(case)
     environment = core.Environment.from_polygons(polygons)
     deviations = {}
-    for accuracy in (8e-3, 2e-3, 1e-3):
+    for accuracy in (8e-3, 4e-3, 2e-3):
         runs = [core.form_factors(environment, "hemisphere", accuracy=accuracy, seed=seed) for seed in range(6)]
         assert all(run.estimated_error <= accuracy for run in runs)
         errors = np.array([in_order(case, run.matrix, case["matrix"]["order"]) - expected for run in runs])
         deviations[accuracy] = np.sqrt((errors**2).mean(axis=0)).max()
         # The worst of 30 factors in 6 runs, each estimate itself good to a quarter.
         assert deviations[accuracy] < 1.5 * accuracy
-    assert deviations[1e-3] < 0.5 * deviations[8e-3]
+    assert deviations[2e-3] < 0.5 * deviations[8e-3]
 
 
 def test_same_seed_same_bits_for_any_number_of_threads():

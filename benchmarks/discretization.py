@@ -125,7 +125,7 @@ def hemisphere_factors(environment: core.Environment, resolution: int, seed: int
     matrix, escaped = np.zeros((count, count)), np.zeros(count)
     # Rows at once as the method itself takes them: some 10 MB of counts.
     for part in np.array_split(np.arange(count), max(1, count * resolution // 2**20)):
-        shares, _ = caster.rows(part, resolution // REPETITIONS, (seed, 0))
+        shares, _, _ = caster.rows(part, resolution // REPETITIONS, (seed, 0))
         matrix[part], escaped[part] = shares[:, :-1], shares[:, -1]
     return repair(matrix, environment.areas, _is_closed(escaped, environment))
 

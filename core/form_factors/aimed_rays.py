@@ -33,7 +33,7 @@ ROWS_SHARE = 0.5
 
 #: Patches up to which pairs are looked at whatever the accuracy, and accuracy from which on among more of them. Finer
 #: than that, tens of thousands of pairs would take minutes, where rows take seconds.
-FEW_PATCHES, ROUGH = 64, 5e-3
+FEW_PATCHES, ROUGH = 24, 5e-3
 
 logger = logging.getLogger(__name__)
 

@@ -275,8 +275,9 @@ class RowCaster:
         length = points.shape[1]
         origins = self.sampler(rows, points[:, :, :2])
         local = hemisphere_directions(points[:, :, 2:])
-        # Every other ray of a two-sided patch leaves from its back.
-        side = np.where(self.two_sided[rows][:, None] & (np.arange(length) % 2 == 1), -1.0, 1.0)
+        # Half of the rays of a two-sided patch leave from its back: a run of them, which is spread as evenly as all are.
+        # Every other one would not be, for even and odd Sobol' points lie in two halves of the patch.
+        side = np.where(self.two_sided[rows][:, None] & (np.arange(length) >= (length + 1) // 2), -1.0, 1.0)
         local[:, :, 2] *= side
         directions = np.matmul(local, self.frames[rows])
         origins += (self.offset * side)[:, :, None] * self.normals[rows][:, None]

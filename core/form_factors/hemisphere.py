@@ -275,7 +275,7 @@ class RowCaster:
         length = points.shape[1]
         origins = self.sampler(rows, points[:, :, :2])
         local = hemisphere_directions(points[:, :, 2:])
-        # Half of the rays of a two-sided patch leave from its back: a run of them, which is spread as evenly as all are.
+        # Half of the rays of a two-sided patch leave from its back: a run of them, spread as evenly as all are.
         # Every other one would not be, for even and odd Sobol' points lie in two halves of the patch.
         side = np.where(self.two_sided[rows][:, None] & (np.arange(length) >= (length + 1) // 2), -1.0, 1.0)
         local[:, :, 2] *= side

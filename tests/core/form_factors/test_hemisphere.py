@@ -50,3 +50,18 @@ def test_random_rays_reach_the_accuracy_asked_for():
     assert result.estimated_error <= 4e-3
     with pytest.raises(SettingsError, match="Unknown sampling 'magic'"):
         core.form_factors(environment, method="hemisphere", sampling="magic")
+
+
+def test_both_sides_of_a_patch_are_sampled_all_over():
+    # Below one half of a sheet and above its other half, a plate each. The sheet sends to each half of what a patch of
+    # one side that is parallel to it would.
+    sheet = np.array([(0, 0, 0), (2, 0, 0), (2, 1, 0), (0, 1, 0)], dtype=float)
+    above = sheet * (0.5, 1, 1) + (0, 0, 0.2)
+    below = sheet * (0.5, 1, 1) + (1, 0, -0.2)
+    plates = [sheet, above[::-1], below]
+    environment = core.Environment.from_polygons(plates, two_sided=np.array([True, False, False]))
+    one_side = core.Environment.from_polygons([sheet, above[::-1]])
+    exact = core.form_factors(one_side, "contour_integral", accuracy=1e-6).matrix[0, 1] / 2
+    found = hemisphere_rows(environment, 1e-3).matrix[0, 1:]
+    # Four standard errors.
+    np.testing.assert_allclose(found, exact, atol=4e-3)

@@ -48,7 +48,7 @@ logger = logging.getLogger(__name__)
 
 
 def cropped_pair(
-    environment: Environment, receiver: int, source: int, accuracy: float, seed: int = 0
+    environment: Environment, receiver: int, source: int, accuracy: float, seed: int = 0, absolute: float = 0.0
 ) -> tuple[float, float]:
     """Form factor from one patch to another among all others as blockers.
 
@@ -60,6 +60,8 @@ def cropped_pair(
     accuracy : float
         Error wanted, as a part of the factor: two standard errors.
     seed : int
+    absolute : float
+        Error below which none needs to be, whatever the factor.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def cropped_pair(
         back = environment.two_sided[receiver] & (np.arange(len(places)) % 2 == 1)
         return places, np.where(back[:, None], -normals, normals), weights
 
-    return _refine(environment, points, source, accuracy, seed)
+    return _refine(environment, points, source, accuracy, seed, absolute)
 
 
 def cropped_point(
@@ -96,7 +98,7 @@ def cropped_point(
     return _refine(environment, points, source, accuracy, seed)
 
 
-def _refine(environment, points, source, accuracy, seed):
+def _refine(environment, points, source, accuracy, seed, absolute=0.0):
     """Mean and standard error with more and more points."""
     loops = Loops.of(environment)
     for number, level in enumerate(LEVELS):
@@ -112,10 +114,11 @@ def _refine(environment, points, source, accuracy, seed):
                 values[repetition] += weights[part] @ factors
         factor, error = values.mean(), values.std(ddof=1) / np.sqrt(REPETITIONS)
         # Nothing seen from some points is no proof that nothing is seen from any: a second round looks closer.
-        if SAFETY * error <= accuracy * factor and (factor > 0 or number > 0):
+        wanted = max(accuracy * factor, absolute)
+        if SAFETY * error <= wanted and (factor > 0 or number > 0):
             break
     else:
-        logger.warning("Form factor is accurate to %.2g only, not %.2g: limit of points", error, accuracy * factor)
+        logger.warning("Form factor is accurate to %.2g only, not %.2g: limit of points", error, wanted)
     return float(min(factor, 1.0)), float(error)
 
 

@@ -21,7 +21,7 @@ from .allowed_error import AIM, allowed_error
 from .faces import Faces
 from .hemisphere import SampledRows, hemisphere_rows
 from .segment_samples import SegmentSamples
-from .uncertain_pairs import FEW_PATCHES, Look, with_uncertain_pairs
+from .uncertain_pairs import Look, with_uncertain_pairs
 from .visible_share import REPETITIONS, Samples, first_rounds, in_rounds
 
 #: Round of `visible_share.ROUNDS` to begin with at least: the scatter of fewer rays is too often too low.
@@ -31,8 +31,9 @@ FIRST_ROUND = 2
 #: a Cornell box, and 0.2 to 1 in a room of 909 patches.
 ROWS_SHARE = 0.5
 
-#: Accuracy from which on pairs are looked at among more than `FEW_PATCHES` patches, too.
-ROUGH = 5e-3
+#: Patches up to which pairs are looked at whatever the accuracy, and accuracy from which on among more of them. Finer
+#: than that, tens of thousands of pairs would take minutes, where rows take seconds.
+FEW_PATCHES, ROUGH = 24, 5e-3
 
 logger = logging.getLogger(__name__)
 

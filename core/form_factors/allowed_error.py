@@ -5,10 +5,10 @@ An `accuracy` of a says that a factor above 10 a is right to the share a of itse
 many small factors is as good as what it receives from few large ones, and none is asked for a share that is lost in
 the sum of its row.
 
-Methods that sample pairs (contour integral, point to polygon and hybrid among blockers; hemisphere, hemicube and single
-plane for few patches) state standard errors and aim at `AIM` of what is allowed, so that about one factor in a hundred
-differs by more than twice of it. Disks, point to point, and whole rows of many patches keep one absolute error for all
-factors of a row (`matrix`), which no factor's allowed error exceeds.
+Methods that sample pairs (contour integral, point to polygon and hybrid among blockers, hemisphere) state standard
+errors and aim at `AIM` of what is allowed, so that about one factor in a hundred differs by more than twice of it.
+Projections, disks and point to point keep one absolute error for all factors of a row (`matrix`), which no factor's
+allowed error exceeds.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ logger = logging.getLogger(__name__)
 
 
 def cropped_pair(
-    environment: Environment, receiver: int, source: int, accuracy: float, seed: int = 0, absolute: float = 0.0
+    environment: Environment, receiver: int, source: int, accuracy: float, seed: int = 0
 ) -> tuple[float, float]:
     """Form factor from one patch to another among all others as blockers.
 
@@ -60,8 +60,6 @@ def cropped_pair(
     accuracy : float
         Error wanted, as a part of the factor: two standard errors.
     seed : int
-    absolute : float
-        Error below which none needs to be, whatever the factor.
 
     Returns
     -------
@@ -80,7 +78,7 @@ def cropped_pair(
         back = environment.two_sided[receiver] & (np.arange(len(places)) % 2 == 1)
         return places, np.where(back[:, None], -normals, normals), weights
 
-    return _refine(environment, points, source, accuracy, seed, absolute)
+    return _refine(environment, points, source, accuracy, seed)
 
 
 def cropped_point(
@@ -98,7 +96,7 @@ def cropped_point(
     return _refine(environment, points, source, accuracy, seed)
 
 
-def _refine(environment, points, source, accuracy, seed, absolute=0.0):
+def _refine(environment, points, source, accuracy, seed):
     """Mean and standard error with more and more points."""
     loops = Loops.of(environment)
     for number, level in enumerate(LEVELS):
@@ -114,11 +112,10 @@ def _refine(environment, points, source, accuracy, seed, absolute=0.0):
                 values[repetition] += weights[part] @ factors
         factor, error = values.mean(), values.std(ddof=1) / np.sqrt(REPETITIONS)
         # Nothing seen from some points is no proof that nothing is seen from any: a second round looks closer.
-        wanted = max(accuracy * factor, absolute)
-        if SAFETY * error <= wanted and (factor > 0 or number > 0):
+        if SAFETY * error <= accuracy * factor and (factor > 0 or number > 0):
             break
     else:
-        logger.warning("Form factor is accurate to %.2g only, not %.2g: limit of points", error, wanted)
+        logger.warning("Form factor is accurate to %.2g only, not %.2g: limit of points", error, accuracy * factor)
     return float(min(factor, 1.0)), float(error)
 
 

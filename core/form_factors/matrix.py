@@ -14,16 +14,15 @@ from .aimed_rays import hemisphere_factors
 from .automatic import automatic_rows
 from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
-from .cropped_pairs import hemicube_factors, single_plane_factors
 from .disk import disk_points, disk_rows
-from .hemicube import hemicube_points
+from .hemicube import hemicube_points, hemicube_rows
 from .hemisphere import SampledRows, hemisphere_points
 from .hybrid import hybrid_points, hybrid_rows
 from .identities import closure_error, reciprocity_error, repair
 from .point_rows import PointRows
 from .point_to_point import point_to_point_points, point_to_point_rows
 from .quadrature import quadrature_rows
-from .single_plane import single_plane_points
+from .single_plane import single_plane_points, single_plane_rows
 from .visible_polygons import visible_polygon_points
 
 #: Matrix entries beyond which a matrix is refused: 8 GiB each for the factors and the copy that repairs them.
@@ -73,10 +72,8 @@ SAMPLED = 7e-3
 #: Methods by name; a new technique adds its entry here.
 METHODS: dict[str, Method] = {
     "hemisphere": Method(hemisphere_factors, hemisphere_points, ("embree",), ("sampling",), FIRST_HIT, SAMPLED),
-    "hemicube": Method(hemicube_factors, hemicube_points, ("zbuffer",), ("resolution",), ITEM_BUFFER),
-    "single_plane": Method(
-        single_plane_factors, single_plane_points, ("zbuffer",), ("resolution", "lost"), ITEM_BUFFER
-    ),
+    "hemicube": Method(hemicube_rows, hemicube_points, ("zbuffer",), ("resolution",), ITEM_BUFFER),
+    "single_plane": Method(single_plane_rows, single_plane_points, ("zbuffer",), ("resolution", "lost"), ITEM_BUFFER),
     "point_to_polygon": Method(_point_to_polygon, visible_polygon_points, (*SEGMENTS, "none")),
     "point_to_point": Method(
         point_to_point_rows,
@@ -183,9 +180,9 @@ def form_factors(
         ``silhouettes`` for exact tests, ``brute_force``; ``none`` where nothing can occlude.
     accuracy : float, optional
         Error wanted of each factor, as of `allowed_error`: a share of it, and of small ones an absolute number. A
-        standard error where rays are cast. Disk and point to point take it as an absolute number, for the worst factor
-        of each row; so do the hemisphere, the hemicube and the single plane for many patches (`uncertain_pairs`). When
-        left out, 1e-3, or `SAMPLED` for the hemisphere.
+        standard error where rays are cast. Hemicube, single plane, disk and point to point take it as an absolute
+        number, for the worst factor of each row; so does the hemisphere for many patches (`aimed_rays`). When left out,
+        1e-3, or `SAMPLED` for the hemisphere.
     seed : int
         Same input and seed give the same matrix.
     threads : int

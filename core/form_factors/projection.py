@@ -102,8 +102,7 @@ def projection_rows(environment: Environment, cameras: Sequence[Camera], accurac
     """
     count = len(environment)
     lost = max(camera.lost for camera in cameras)
-    scene = ProjectedRows(environment, cameras)
-    matrix, escaped, errors, samples, deviations = scene.refined(np.arange(count), accuracy, seed)
+    matrix, escaped, errors, samples = ProjectedRows(environment, cameras).refined(np.arange(count), accuracy, seed)
     if errors.max(initial=0) > accuracy:
         logger.warning("Form factors are accurate to %.2g only, not %.2g: limit of points", errors.max(), accuracy)
     return SampledRows(
@@ -113,7 +112,6 @@ def projection_rows(environment: Environment, cameras: Sequence[Camera], accurac
         samples=samples,
         rays=0,
         leaks=np.full(count, lost),
-        deviations=np.where(environment.areas[:, None] > 0, deviations + lost, 0),
     )
 
 
@@ -153,19 +151,17 @@ class ProjectedRows:
         return other
 
     def refined(self, rows: np.ndarray, accuracy: float, seed: int):
-        """Factors (r, n), escaped shares, errors and numbers of cameras (r,) of some receivers, deviations (r, n).
+        """Factors (r, n), escaped shares, errors and numbers of cameras (r,) of some receivers.
 
         A row does not depend on which others are asked for.
         """
         matrix, escaped = np.zeros((len(rows), len(self.environment))), np.zeros(len(rows))
         errors, samples = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)
-        deviations = np.zeros_like(matrix)
         radiating = np.flatnonzero(self.receivers.areas[rows] > 0)
         length = max(1, BLOCK_ENTRIES // len(self.environment))
         for part in np.split(radiating, range(length, len(radiating), length)):
-            found = self._refined(rows[part], accuracy, seed)
-            matrix[part], escaped[part], errors[part], samples[part], deviations[part] = found
-        return matrix, escaped, errors, samples, deviations
+            matrix[part], escaped[part], errors[part], samples[part] = self._refined(rows[part], accuracy, seed)
+        return matrix, escaped, errors, samples
 
     def _refined(self, rows: np.ndarray, accuracy: float, seed: int):
         """`refined` of radiating receivers, in one block."""
@@ -200,9 +196,7 @@ class ProjectedRows:
                 doubts[part] = np.maximum(scatter[part], np.abs(balanced - factors[part]))
                 errors[part] = np.maximum(doubts[part].max(axis=1, initial=0), unseen[part])
         factors, escaped = rebalanced(factors, first, escaped, anew, lost)
-        # What no pixel has met may have the share that a pixel has at one of the points.
-        deviations = np.where(factors > 0, doubts, unseen[:, None])
-        return factors, escaped, errors, cameras, deviations
+        return factors, escaped, errors, cameras
 
     def _sample(self, rows: np.ndarray, level: int, seed: tuple[int, int], wanted: np.ndarray | None = None):
         """Mean factors (r, n), escaped shares (r,), standard errors (r, n) and cameras (r,) with lattices of a level.

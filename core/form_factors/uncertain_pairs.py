@@ -25,10 +25,6 @@ from .identities import join_estimates, precision_of
 #: Pairs up to which even factors below what `allowed_error` calls small are held to their share: it costs little then.
 FEW = 128
 
-#: Patches up to which pairs are looked at whatever the accuracy. Among more of them, tens of thousands of pairs would
-#: take minutes, where rows take seconds.
-FEW_PATCHES = 24
-
 #: Variance of an exchange at least, in squares of the smaller area: a repair divides by sums of them.
 LEAST_VARIANCE = 1e-24
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..environment import Environment
 from ..errors import SceneTooLargeError, SettingsError
-from .aimed_rays import hemisphere_factors
+from .aimed_rays import FEW_PATCHES, hemisphere_factors
 from .automatic import automatic_rows
 from .clipped_quadrature import clipped_rows
 from .contour_integral import contour_rows
@@ -40,7 +40,8 @@ class Method:
     ``compute(environment, visibility, accuracy, seed, threads, **options)`` returns `SampledRows`, and
     ``at_points(environment, visibility, accuracy, seed, threads)`` what gives rows of single points (`point_rows`);
     `visibilities` are the names it accepts, the first being what ``auto`` takes; `options` are the names of its own
-    options; `refusal` says why it accepts no other visibility, and `accuracy` is what it takes where none is given.
+    options; `refusal` says why it accepts no other visibility, and `accuracy` is what it takes for few patches where
+    none is given.
     """
 
     compute: Callable[..., SampledRows]
@@ -65,8 +66,8 @@ FIRST_HIT = "it counts what each of its rays meets first, which only embree tell
 ITEM_BUFFER = "what its pixels show is an item buffer, which only the z-buffer is"
 BOTH_KINDS = "it parts what is visible from what is hidden; where nothing hides, contour_integral is the same"
 
-#: Accuracy of the hemisphere where none is given. Rough work allows a fiftieth of a factor, or 1e-3 of small ones: some
-#: three of the standard errors that this asks for.
+#: Accuracy of the hemisphere for few patches where none is given. Rough work allows a fiftieth of a factor, or 1e-3 of
+#: small ones: some three of the standard errors that this asks for.
 SAMPLED = 7e-3
 
 #: Methods by name; a new technique adds its entry here.
@@ -182,7 +183,7 @@ def form_factors(
         Error wanted of each factor, as of `allowed_error`: a share of it, and of small ones an absolute number. A
         standard error where rays are cast. Hemicube, single plane, disk and point to point take it as an absolute
         number, for the worst factor of each row; so does the hemisphere for many patches (`aimed_rays`). When left out,
-        1e-3, or `SAMPLED` for the hemisphere.
+        1e-3, or `SAMPLED` for few patches by the hemisphere.
     seed : int
         Same input and seed give the same matrix.
     threads : int
@@ -207,8 +208,9 @@ def form_factors(
     check_accuracy(accuracy)
     chooses = method == "auto" and visibility == "auto" and not options
     name, chosen, visibility = find_method(method, visibility, options)
-    accuracy = (Method.accuracy if chooses else chosen.accuracy) if accuracy is None else accuracy
     count = len(environment)
+    if accuracy is None:
+        accuracy = chosen.accuracy if count <= FEW_PATCHES and not chooses else Method.accuracy
     if count * count > LARGEST_MATRIX:
         raise SceneTooLargeError(
             f"{count} patches need a matrix of {count * count * 8 / 2**30:.1f} GiB, more than "
@@ -218,6 +220,8 @@ def form_factors(
         rows, counts = automatic_rows(environment, accuracy, seed, threads)
     else:
         rows, counts = chosen.compute(environment, visibility, accuracy, seed, threads, **options), {name: count}
+    # As large as the matrix, and of no use to the repair, which needs most of the memory.
+    rows = replace(rows, deviations=None)
     areas = environment.areas
     tight = rows.escaped <= CLOSED_SHARE * accuracy + rows.leaks
     closed = bool((areas > 0).any() and tight[areas > 0].all())

@@ -56,13 +56,13 @@ def test_stated_errors_are_true():
     assert 0.7 < np.sqrt(np.square(ratios).mean()) < 1.6
 
 
-def test_many_patches_at_a_fine_accuracy_are_left_to_rows(monkeypatch):
-    monkeypatch.setattr(aimed_rays, "FEW_PATCHES", 5)
+def test_many_patches_are_left_to_rows(monkeypatch):
     environment = box()
-    np.testing.assert_array_equal(
-        hemisphere_factors(environment, "embree", 4e-3).matrix, hemisphere_rows(environment, 4e-3).matrix
-    )
     assert hemisphere_factors(environment, "embree", 5e-3).variances is not None
+    monkeypatch.setattr(aimed_rays, "FEW_PATCHES", 5)
+    np.testing.assert_array_equal(
+        hemisphere_factors(environment, "embree", 5e-3).matrix, hemisphere_rows(environment, 5e-3).matrix
+    )
 
 
 def test_a_repair_changes_what_is_uncertain():

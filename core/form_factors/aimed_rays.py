@@ -33,7 +33,7 @@ ROWS_SHARE = 0.5
 
 #: Patches up to which pairs are looked at. Among more of them rows take seconds where tens of thousands of pairs would
 #: take minutes: a Cornell box baked by hemispheres at 1 % took 38 s in place of 6, with no smaller error.
-FEW_PATCHES = 24
+FEW_PATCHES = 36
 
 logger = logging.getLogger(__name__)
 
